@@ -119,9 +119,7 @@ def uses(file: Path) -> list[Use]:
     return found
 
 
-FILES = sorted(
-    file for folder in ("mistray", "plugins", "scenes") for file in (ROOT / folder).rglob("*.py") if file.is_file()
-)
+FILES = sorted(f for top in ("mistray", "plugins", "scenes") for f in (ROOT / top).rglob("*.py") if f.is_file())
 USES = [use for file in FILES for use in uses(file)]
 HEIGHT = {layer: height for height, layers in enumerate(LAYERS) for layer in layers}
 

@@ -326,9 +326,8 @@ def test_real_rays_near_the_axis_follow_the_paraxial_ghosts() -> None:
     assert abs(ledger.closure) < 1e-14
     assert not ledger.leaks_W
     paths = {path.events: path for path in ledger.paths if path.order == 2}
-    table = vectors.frame("ghost_lens_window_det.csv").set_index(
-        ["second_reflecting_surface", "first_reflecting_surface"]
-    )
+    pair = ["second_reflecting_surface", "first_reflecting_surface"]
+    table = vectors.frame("ghost_lens_window_det.csv").set_index(pair)
     ghosts = closed_forms.paraxial_ghosts(surfaces, focus, 0.2, height)
     assert len(ghosts) == len(paths) == len(table) == 10
     for ghost in ghosts:

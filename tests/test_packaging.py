@@ -125,13 +125,12 @@ def test_public_names(name):
 
 @pytest.mark.quick
 def test_citation_is_of_this_version():
-    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    cited = loaded("CITATION.cff")
     newest = re.search(r"^## \[(\d.+?)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert cited["version"] == project["version"] == newest[1]
-    assert cited["license"] == project["license"]
-    assert cited["keywords"] == project["keywords"]
-    assert [author["name"] for author in cited["authors"]] == [author["name"] for author in project["authors"]]
+    assert cited["version"] == PROJECT["version"] == newest[1]
+    assert cited["license"] == PROJECT["license"]
+    assert cited["keywords"] == PROJECT["keywords"]
+    assert [author["name"] for author in cited["authors"]] == [author["name"] for author in PROJECT["authors"]]
     assert set(cited) >= {"cff-version", "message", "title"}, "what the format requires"
 
 
@@ -246,8 +245,7 @@ def test_deprecations_end_when_they_say() -> None:
 
 
 MATRIX = script("make_support_matrix", DOCS)
-README = ROOT / "README.md"
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PROJECT = PYPROJECT["project"]
 
 
 def size_bytes(name: str, seen: dict[str, int]) -> None:
@@ -275,7 +273,7 @@ def test_lowest_versions_are_allowed_by_what_the_tests_ran_with() -> None:
         assert needed.specifier.contains(tested[needed.name.lower()]), text
 
 
-@pytest.mark.parametrize("page", [README, MATRIX.PAGE], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [ROOT / "README.md", MATRIX.PAGE], ids=lambda page: page.stem)
 def test_the_environment_is_as_large_as_the_page_says(page) -> None:
     """Of what pip installs without extras; another file system or Python changes it by some per cent."""
     seen: dict[str, int] = {}

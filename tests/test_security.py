@@ -368,9 +368,7 @@ def patience() -> Iterator[None]:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 @pytest.mark.parametrize("kind", FILES_OF)
 @pytest.mark.parametrize("name", READERS)
-def test_what_is_no_such_file_is_named_at_once(
-    tmp_path: Path, monkeypatch: Any, patience: None, name: str, kind: str
-) -> None:
+def test_no_such_file_is_named_at_once(tmp_path: Path, monkeypatch: Any, patience: None, name: str, kind: str) -> None:
     ending, read = READERS[name]
     if ending in LIBRARIES or name == "mechanics:read_mechanics .ply":
         pytest.importorskip(LIBRARIES.get(ending, "trimesh"))

@@ -190,10 +190,7 @@ def test_compiles(what: str, kernels: Kernels) -> None:
 
 def edits(rng: random.Random) -> Case:
     """The scene with other numbers, and a trace by another seed, with another number of rays at another angle."""
-    changed = {
-        key: {name: value * rng.uniform(0.97, 0.995) for name, value in values.items()}
-        for key, values in ORDINARY.items()
-    }
+    changed = {key: {n: x * rng.uniform(0.97, 0.995) for n, x in numbers.items()} for key, numbers in ORDINARY.items()}
     edited = scene(
         stack=[(rng.uniform(1.3, 2.2), rng.uniform(50, 150)) for _ in range(rng.randint(1, 5))],
         index=f"{rng.uniform(1.4, 1.9):.6f}",

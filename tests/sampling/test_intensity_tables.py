@@ -127,9 +127,8 @@ def test_ies(tmp_path: Path) -> None:
             column = [np.interp(-azimuth % 360, found.phi_deg, row) for row in found.values]
             assert column == pytest.approx(200 * value * fall, rel=1e-4), (kind, azimuth)
     side = np.linspace(90, 270, 13)
-    (tmp_path / "side.ies").write_text(
-        lm63(theta, side, np.outer(1 + 0.5 * np.sin(np.radians(side)), fall)), encoding="latin-1"
-    )
+    lobe = 1 + 0.5 * np.sin(np.radians(side))
+    (tmp_path / "side.ies").write_text(lm63(theta, side, np.outer(lobe, fall)), encoding="latin-1")
     found = read_intensities(tmp_path / "side.ies")
     assert np.interp(360 - 30.0, found.phi_deg, found.values[0]) == pytest.approx(1.25, rel=1e-5)
     assert np.interp(270.0, found.phi_deg, found.values[0]) == pytest.approx(1.5, rel=1e-5)
@@ -146,9 +145,8 @@ def test_ies(tmp_path: Path) -> None:
 )
 def test_factors_of_ies(first: str, factor: float, tmp_path: Path) -> None:
     """The second number of the ballast's line was a factor until 1995; now it says how the file was made."""
-    (tmp_path / "a.ies").write_text(
-        lm63(np.array([0, 90]), np.array([0]), np.ones((1, 2)), first, 3.0, 0.9), encoding="latin-1"
-    )
+    text = lm63(np.array([0, 90]), np.array([0]), np.ones((1, 2)), first, 3.0, 0.9)
+    (tmp_path / "a.ies").write_text(text, encoding="latin-1")
     assert read_intensities(tmp_path / "a.ies").values == pytest.approx(3.0 * factor)
 
 

@@ -84,9 +84,8 @@ def test_temperatures_by_name() -> None:
     t = mistray.trace(mistray.load(given, f"thermal:temperature_K=300,band_nm=8000 12000,parts={parts}"), rays=60_000)
     for (name, kelvin), (outer, inner) in zip(names.items(), sizes, strict=True):
         energy = t.energy_of(f"source:{name}")
-        assert energy.launched_W == pytest.approx(
-            2 * np.pi**2 * (outer**2 - inner**2) * band_radiance(kelvin, *BAND_UM), rel=1e-6
-        )
+        both_sides = 2 * np.pi**2 * (outer**2 - inner**2)
+        assert energy.launched_W == pytest.approx(both_sides * band_radiance(kelvin, *BAND_UM), rel=1e-6)
         exact = outer**2 * discs(20, outer) - inner**2 * discs(20, inner)
         exact *= np.pi**2 * band_radiance(kelvin, *BAND_UM)
         assert_z(name, energy.detected_W, exact, energy.detected_se_W, false_alarm=5e-4)

@@ -379,10 +379,8 @@ def test_detectors_of_a_prescription(tmp_path) -> None:
         found = mistray.gradient(metric, mi.traverse(scene), keys=["splitter.bsdf.R"])
         assert found.value == pytest.approx(0.08, rel=1e-6)  # of the light of the source
         assert found.gradient["splitter.bsdf.R"] == pytest.approx(1.0, rel=1e-5)
-    for wrong, words in (
-        ((camera,), "2 shapes are called 'camera'"),
-        (((1, 2),), "must be a mistray.Detector, or several"),
-    ):
+    refused = [((camera,), "2 shapes are called 'camera'"), (((1, 2),), "must be a mistray.Detector, or several")]
+    for wrong, words in refused:
         with pytest.raises(mistray.MistrayError, match=words):
             replace(design, more_detectors=wrong)
 
