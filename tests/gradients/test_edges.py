@@ -181,7 +181,7 @@ class TestCorners:
     def test_part_of_a_side_and_a_touching_circle(self, load_scene) -> None:
         """A half mirror stands on a part of a black square's side; both move, and only the square's width counts."""
         large = shape_xml("asphere", "large", 5.0, half_width=4.0, half_height=4.0)
-        size = {"half_width": 2.0, "half_height": 2.0}
+        size: dict[str, Any] = {"half_width": 2.0, "half_height": 2.0}
         small = placed_xml("asphere", "small", HALF_PASSES, at=(0.5, -4.0, 7.0), facing=(0.0, -1.0, 0.0), **size)
         text = scene_text(large, small, detector(12.0), radius=9.0)
         found = traced(load_scene, text, ["large.half_height", "small.z"], field_deg=20.0, rays=1_000_000)

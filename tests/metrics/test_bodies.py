@@ -32,10 +32,10 @@ def scene() -> Any:
     front = Surface("front", radius=30.0, semi_diameter=5.0, back="1.5", part="L")
     rear = Surface("rear", radius=-30.0, semi_diameter=5.0, z=4.0, front="1.5", part="L")
     edge = Structure("edge", 5.0, 0.5, 5.0, 3.5, front="1.5", part="L")
-    *lens, edge = moved_as_one((front, rear, edge), z=30.0, tilt_deg=(0.0, 20.0, 0.0))
+    *lens, rim = moved_as_one((front, rear, edge), z=30.0, tilt_deg=(0.0, 20.0, 0.0))
     faces = prism("P", [(0, 0), (10, 10), (-10, 10)], 20.0, material="1.5")
     detector, light = Detector(z=60.0, half_width=9.0, half_height=9.0), Source(radius=5.0)
-    parts: dict[str, Any] = {"surfaces": (*faces, *lens), "structures": (edge,), "source": light, "detector": detector}
+    parts: dict[str, Any] = {"surfaces": (*faces, *lens), "structures": (rim,), "source": light, "detector": detector}
     return Prescription(name="bodies", **parts).to_scene()
 
 

@@ -191,8 +191,8 @@ def test_the_sun_gaussian_beams_and_near_sources() -> None:
     assert source.pivot + np.array([0, 0, -100]) == pytest.approx([100 * np.tan(np.radians(30)), 0, -100])
     (beam,) = scene_sources(lit({"type": "gaussian_beam", "z": -100.0, "waist_x": 0.1, "waist_y": 0.1}), field_deg=30.0)
     assert beam.direction == pytest.approx([0, 0.5, np.sqrt(0.75)])
-    places = {"field_mm": 5.0}, {"field_deg": np.degrees(np.arctan(-0.05))}
-    both = [mistray.trace(here, rays=1000, **place).energy.detected_W for place in places]
+    fields: tuple[dict[str, Any], ...] = {"field_mm": 5.0}, {"field_deg": np.degrees(np.arctan(-0.05))}
+    both = [mistray.trace(here, rays=1000, **field).energy.detected_W for field in fields]
     assert both[0] == pytest.approx(both[1], rel=1e-5)
     for lamp in ({"type": "collimated", "radius": 1.0}, {"type": "point_source"}, {"type": "sky"}):
         with pytest.raises(mistray.MistrayError, match="degrees"):
