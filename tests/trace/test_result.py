@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from fake_ledger import hit_sums
 from lit_detector import BLACK
-from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.scatter_scenes import bsdf_xml, placed_xml, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 
 import mistray
@@ -335,22 +335,17 @@ def test_wrong_and_missing_names(load_text) -> None:
     assert mistray.ghosts(scene, rays=100, detector="back")[0.0].detectors == ["back"]
 
 
-def scatter_text() -> str:
-    """A beam on a Lambertian screen that reflects half of it, and two small discs that see it from one side."""
-    screen = scattering_xml([bsdf_xml("abg", A=0.1, B=1.0, g=0.0)], R=0.5, T=0.0)
-    shapes = [shape_xml("asphere", "screen", 0.0, screen, semi_diameter=3.0)]
-    for name, x, y, z in (("left", -6.0, 1.0, -8.0), ("right", 3.0, 0.0, -5.0)):
-        disc = shape_xml("asphere", name, z, sensor=True, semi_diameter=0.5)
-        shapes.append(disc.replace(f'<translate z="{z!r}"/>', f'<translate x="{x}" y="{y}" z="{z}"/>'))
-    return scene_text(*shapes, radius=0.01, distance=2.0)
-
-
 def test_light_is_aimed_at_each(load_text) -> None:
     """The flux on small discs from a point of a Lambertian screen: dΩ cos θ f. False alarms: 1 in 16,000 (4 SE)."""
-    t = mistray.trace(load_text(scatter_text())[0], rays=20_000, max_scatters=1)
+    places = {"left": (-6.0, 1.0, -8.0), "right": (3.0, 0.0, -5.0)}
+    screen = scattering_xml([bsdf_xml("abg", A=0.1, B=1.0, g=0.0)], R=0.5, T=0.0)
+    shapes = [shape_xml("asphere", "screen", 0.0, screen, semi_diameter=3.0)]
+    shapes += [placed_xml("asphere", name, at=at, pixels=64, semi_diameter=0.5) for name, at in places.items()]
+    text = scene_text(*shapes, radius=0.01, distance=2.0)
+    t = mistray.trace(load_text(text)[0], rays=20_000, max_scatters=1)
     launched = np.pi * 0.01**2
     bsdf = 0.5 * 0.1 / 2  # R A/(B + 1) of an ABg of g = 0
-    for name, at in (("left", (-6.0, 1.0, -8.0)), ("right", (3.0, 0.0, -5.0))):
+    for name, at in places.items():
         # Exact over the disc, by midpoints in polar coordinates
         r, phi = np.meshgrid((np.arange(200) + 0.5) / 400, (np.arange(200) + 0.5) * np.pi / 100)
         points = np.stack([at[0] + r * np.cos(phi), at[1] + r * np.sin(phi), np.full_like(r, at[2])], axis=-1)
