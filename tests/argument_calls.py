@@ -1,5 +1,4 @@
-"""
-Calls of public functions, methods and constructors by one of their arguments that takes several values.
+"""Calls of public functions, methods and constructors by one of their arguments that takes several values.
 
 `ONE` has those for which a single value is a list of one, `FIXED` vectors and lists that cannot be single, `NAMED`
 mappings. Each call takes the argument alone, most by its name, and returns what depends on it.
@@ -27,7 +26,6 @@ from mistray.scenes.cooke_triplet import prescription as triplet
 Call = Callable[[Any], Any]
 ANGLES = [5.0, 10.0]
 SEQ = "RDM\nLEN\nEPD 8\nDIM M\nWL 588\nYAN 0\nSO 0 1E20\nS 50 5 NBK7_SCHOTT\nSTO\nS -50 46\nSI 0 0\nGO\n"
-CORNERS = [(0, 0), (10, 0), (0, 10)]
 X = np.arange(3.0)
 scene = cache(lambda: mistray.load("plate"))
 known = cache(lambda: optimize.parameters(scene()))
@@ -54,24 +52,21 @@ def line(values: np.ndarray) -> optimize.Modelled:
 
 fitted = cache(lambda: optimize.fit(line, X, 0.1 * np.ones(3), {"a": 0.5}))
 
-
 POLISH = prescription.Scatter("harvey_shack", {"rms_nm": 2.0, "l": 0.01, "s": -1.5})
 LAYER = coatings.Layer("MgF2", 99.4)
 QUARTER = coatings.Stack((LAYER,))
 FRONT = prescription.Surface("f", semi_diameter=5.0)
 RING = prescription.Structure("r", 5.0, 0.0, 8.0, 0.0)
-IMAGE = Row(2, kind="image")
 GLASS = Row(1, radius=50.0, thickness=5.0, material="N-BK7", stop=True)
 TUBE = prescription.vane_tube("hood", optic_radius=20, z_rear=0, length=150, wall_radius=40, field_deg=5)
 TERM = {"kind": "path_power", "selection": "ghost", "goal": "minimise"}
 SHIFT = {"parameters": ["window_front.y"], "low": -0.1, "high": 0.1}
 STUDY = optimize.read_study({"term": [TERM], "variable": [SHIFT]})
-MOVED = optimize.Moved("window_front.y")
 COATED = optimize.CoatingGroup("ar", ("L1_front",), QUARTER, ((60.0, 150.0),))
 TWO_STAGES = prescription.two_stage_baffle("baffle", optic_radius=20, z_rear=0, field_deg=5, exclusion_deg=40, depth=10)
 FILMS = [thinfilm.amplitudes, thinfilm.reflectance_transmittance, thinfilm.amplitudes_and_shares]
 POLYNOMIALS = [sag.polynomial, sag.polynomial_derivative, sag.polynomial_second_derivative]
-LENS = {"name": "lens", "rows": (GLASS, IMAGE), "aperture": 8}
+LENS = {"name": "lens", "rows": (GLASS, Row(2, kind="image")), "aperture": 8}
 CURVED = Sequential(**LENS | {"rows": (GLASS, Row(2, radius=-50.0, thickness=46.0), Row(3, kind="image"))})
 FACE = {"name": "s", "semi_diameter": 5.0}
 ENDS = {"radius": 4, "z_front": 10, "z_rear": 10.5, "outer_front": 12, "outer_rear": 12}
@@ -142,8 +137,7 @@ def by(function: Any, names: str, /, seen: Call | None = None, module: str = "",
     calls: dict[str, Call] = {}
     for name in names.split():
         attribute = (lambda found, name=name: getattr(found, name, found)) if isinstance(function, type) else made
-        call = partial(called, function, name, given, seen or attribute)
-        calls[f"{module}{function.__name__}({name})"] = call
+        calls[f"{module}{function.__name__}({name})"] = partial(called, function, name, given, seen or attribute)
     return calls
 
 
@@ -204,7 +198,7 @@ NORMS = (optimize.peak_irradiance, optimize.ghost_rms_irradiance, optimize.ghost
 LIGHT = (optimize.path_power, optimize.ghost_to_signal, *NORMS)
 WAY = {"wavelength_nm": 550.0, "n_front": 1.0, "n_back": 1.5, "from_front": True}
 TO_FIT = {"model": line, "observed": X, "noise": 0.1, "start": {"a": 0.5}}
-PRISM = {"name": "p", "corners": CORNERS, "width": 10, "material": "N-BK7"}
+PRISM = {"name": "p", "corners": [(0, 0), (10, 0), (0, 10)], "width": 10, "material": "N-BK7"}
 FRESNEL = {"name": "f", "radius": -25, "semi_diameter": 5, "groove_mm": 1}
 SPIDER = {"name": "s", "vanes": 3, "inner_radius": 5, "outer_radius": 9, "thickness": 1, "depth": 2, "z": 0}
 HOOD = {"name": "h", "optic_radius": 20, "z_rear": 0, "length": 150, "field_deg": 5}
@@ -281,7 +275,7 @@ ONE: dict[str, tuple[Call, Any]] = {
     **one(STUDY.terms[0], by(optimize.DesignStudy, "terms", name="s")),
     **one(STUDY.variables[0], by(optimize.DesignStudy, "variables", name="s", terms=STUDY.terms)),
     **one(COATED, by(optimize.DesignStudy, "coatings", name="s", terms=STUDY.terms)),
-    **one(MOVED, by(optimize.VariableGroup, "parameters", name="v", low=0.0, high=1.0)),
+    **one(optimize.Moved("window_front.y"), by(optimize.VariableGroup, "parameters", name="v", low=0.0, high=1.0)),
     **one("L1_front", by(optimize.CoatingGroup, "surfaces", name="ar", start=QUARTER, bounds_nm=((60.0, 150.0),))),
     **one(0.0, by(mistray.Explorer, "field_deg", attrgetter("fields"), scene="plate", rays=64)),
     **one("plate_front.z", by(mistray.Explorer, "control", lambda found: [*found.controls], scene="plate", rays=64)),

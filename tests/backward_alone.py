@@ -17,8 +17,7 @@ def against_alone(
     scene: mi.Scene, angle: float, width: float, rays: int, linked: float = 0.0, **windows: np.ndarray
 ) -> dict[int, tuple[float, float]]:
     """PST of light that is scattered once, and several times, of a cell of that width, and its error; by class."""
-    trace = _shared(scene, angle, width, 1e-12, linked, **windows)
-    return _backward(trace, rays)
+    return _backward(_shared(scene, angle, width, 1e-12, linked, **windows), rays)
 
 
 def both_directions(
@@ -40,8 +39,7 @@ def _shared(
 ) -> BackwardTrace:
     trace = BackwardTrace(scene, DirectionGrid.of([angle], cell_deg=width), Settings.of(scene, max_scatters=3))
     one = np.ones(1)
-    lit = hull_points(trace.table)
-    trace.share_paths(Sharing(lit, StartMap.uniform(1), forward * one, linked * one, **windows))
+    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), forward * one, linked * one, **windows))
     return trace
 
 

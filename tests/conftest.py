@@ -148,11 +148,8 @@ def outputs_are_declared(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program, "guard_of", strict)
 
 
-LoadText = Callable[[str], tuple[Any, scene_xml.SceneModel]]
-
-
 @pytest.fixture(scope="session")
-def load_text(tmp_path_factory: pytest.TempPathFactory) -> LoadText:
+def load_text(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Any, scene_xml.SceneModel]]:
     """XML text → (Mitsuba scene, model of the oracles)."""
 
     def load(text: str) -> tuple[Any, scene_xml.SceneModel]:

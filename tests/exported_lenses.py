@@ -39,11 +39,10 @@ def tilted() -> Sequential:
     alone = Decentre(x=0.3, y=-0.2, z=0.15, tilt_deg=(2.0, -3.0, 4.0), returns=True)
     tilt_first = Decentre(x=-0.4, y=0.1, z=-0.25, tilt_deg=(-1.0, 2.5, 7.0), tilt_first=True)
     both_ways = Decentre(x=0.5, tilt_deg=(3.0, 0.0, 2.0), tilt_first=True, returns=True)
-    turn = Decentre(tilt_deg=(30.0, 5.0, -8.0), tilt_first=True)
     rows = (
         Row(1, radius=40.0, conic=-0.4, coefficients=(1e-6,), thickness=4.0, material="N-BK7", decentre=alone),
         Row(2, radius=-60.0, thickness=20.0, decentre=tilt_first),
-        Row(3, kind="coordinate_break", thickness=1.0, decentre=turn),
+        Row(3, kind="coordinate_break", thickness=1.0, decentre=Decentre(tilt_deg=(30.0, 5.0, -8.0), tilt_first=True)),
         Row(4, radius=-300.0, mirror=True, decentre=both_ways),
         Row(5, kind="coordinate_break", thickness=-15.0, decentre=Decentre(tilt_deg=(30.0, 5.0, 0.0))),
         Row(6, kind="image", decentre=Decentre(y=0.5, tilt_deg=(1.0, 2.0, 3.0))),
@@ -61,8 +60,7 @@ def rays(lens: Sequential) -> tuple[np.ndarray, np.ndarray]:
     theta = np.radians([0.0, 0.0, 0.0, 0.4, 0.4, -0.4])
     directions = np.stack([0.3 * np.sin(theta), np.sin(theta), np.ones_like(theta)], axis=1)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = np.column_stack([aim, np.zeros(len(aim))])
-    return points + directions * (START_Z / directions[:, 2:]), directions
+    return np.column_stack([aim, np.zeros(len(aim))]) + directions * (START_Z / directions[:, 2:]), directions
 
 
 def optiland_image_points(path: Path, points: np.ndarray, directions: np.ndarray, wavelength_nm: float) -> np.ndarray:

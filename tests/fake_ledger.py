@@ -64,13 +64,12 @@ def fake_run(
     design: Sequence[str] = (),
 ) -> SimpleNamespace:
     """What the path table reads of a run; `surfaces` are bits by names, `design` the sequences of the direct image."""
-    words = np.array(list(surfaces.values()), dtype=np.uint32)
     return SimpleNamespace(
         source=SimpleNamespace(name=name, wavelength_nm=wavelength_nm),
         table=SimpleNamespace(
             event_ids=list(surfaces),
             event_parts=[name.split("_")[0].strip("()") for name in surfaces],
-            event_words=words,
+            event_words=np.array(list(surfaces.values()), dtype=np.uint32),
             count=sum(not name.startswith("(") for name in surfaces),
         ),
         started=np.full(BATCHES, rays / BATCHES),

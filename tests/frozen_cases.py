@@ -23,8 +23,7 @@ from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 
 
 def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
-    """
-    Every branch of one source and wavelength that ends on the detector, by path, as the kernel wrote it down.
+    """Every branch of one source and wavelength that ends on the detector, by path, as the kernel wrote it down.
 
     Positions found again in float64, as `Trace.history` has them, would share code with the program under test.
     """
@@ -55,7 +54,6 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     return bundles
 
 
-SCENES = Path(__file__).parents[1] / "scenes"
 LAYERS = '<bsdf type="thinfilm"><string name="layers" value="1.38 95, 2.1 120, 1.63 80"/></bsdf>'
 NORM = 16.0  # of the peak
 SMALL = 0.1  # of the largest derivative of its kind, or of what cancels in it: what a smaller one is compared with
@@ -66,7 +64,7 @@ Kinds = Callable[[str], str]
 
 
 def scene_text(name: str) -> str:
-    return (SCENES / name / "scene.xml").read_text(encoding="utf-8")
+    return (Path(__file__).parents[1] / "scenes" / name / "scene.xml").read_text(encoding="utf-8")
 
 
 def coated_text(text: str, *shape_ids: str) -> str:
@@ -158,11 +156,9 @@ class Case:
         chosen = [k for k, text in enumerate(texts) if events is None or text in events]
         return lambda hits: [hits[k] for k in chosen]
 
-    def image_functional(
-        self, by_pixel: Array, events: Sequence[str] | None = None
-    ) -> Callable[[Sequence[Hits]], float]:
+    def image_functional(self, pixels: Array, events: Sequence[str] | None = None) -> Callable[[Sequence[Hits]], float]:
         """Σ flux · g: its value where a ray lands now as the pixel has it, its slope between the centres of pixels."""
-        height, width = by_pixel.shape
+        height, width = pixels.shape
         x0, x1, y0, y1 = self.trace.extent
         take = self.select(events)
 
@@ -170,7 +166,7 @@ class Case:
             return (hits.x - x0) / (x1 - x0) * width - 0.5, (hits.y - y0) / (y1 - y0) * height - 0.5
 
         def at(i: Array, j: Array) -> Array:
-            return by_pixel[np.clip(j, 0, height - 1).astype(int), np.clip(i, 0, width - 1).astype(int)]
+            return pixels[np.clip(j, 0, height - 1).astype(int), np.clip(i, 0, width - 1).astype(int)]
 
         # The cell between centres, and the pixel, are those of the ray as it was: a derivative does not see corners
         cells, offsets = [], []
@@ -194,8 +190,7 @@ class Case:
         one, everything = self.select([ghost]), self.select(None)
         x0, x1, y0, y1 = self.trace.extent
         area = (x1 - x0) * (y1 - y0) / self.trace.irradiance.size
-        ids = [row.path_id for row in self.trace.paths if row.events == ghost]
-        spot = self.trace.irradiance_of(ids)[0]
+        spot = self.trace.irradiance_of([row.path_id for row in self.trace.paths if row.events == ghost])[0]
         peak = spot.max() * np.sum((spot / spot.max()) ** NORM) ** (1 / NORM)
 
         image = self.image_functional(2 * self.trace.irradiance / area)
@@ -267,8 +262,7 @@ def compare(
     case: Case, keys: Sequence[str], metrics: Metrics, kind_of: Kinds, *, tolerance: float, wrong: float,
     cancels: float, zero: float = 0.0,
 ) -> set[str]:  # fmt: skip
-    """
-    Asserts the derivatives of each metric by each key; gives kinds of which some derivative does not cancel.
+    """Asserts the derivatives of each metric by each key; gives kinds of which some derivative does not cancel.
 
     Those that are larger by the factor ``wrong`` must fail, but for what is below the share ``cancels`` of
     Σ |parts of the batches|; ``zero`` is the share of the metric that a move by the size of the surface may change.

@@ -136,7 +136,6 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
 NUMERIC = ("1", "1/mm", "1/sr", "mm", "mm^(1-order)", "mm^(1-i-j)", "deg", "degree", "nm", "um", "%", "W/mm²",
            "integer")  # fmt: skip
 BLACK = '<bsdf type="interface"><float name="R" value="0"/></bsdf>'
-SCENE = scene_with("abg")
 
 
 def lens_text(source: str) -> str:
@@ -151,10 +150,8 @@ FAR = lens_text('<emitter type="collimated"><float name="radius" value="0.5"/></
 NEAR = lens_text(
     '<emitter type="point_source"><float name="half_angle_deg" value="0.05"/><float name="z" value="-500"/></emitter>'
 )
-BUDGET = vectors.text("fuzz_budget.toml")
 SMALL = ("--rays", "200")
 LINES = {command: tuple(line.split()) for command, line in DATA["lines"].items()}
-MESH = ("tube.step", "-o", "made.xml", "--force")
 # Further ordinary options of commands, which leave something unknown
 MORE = {
     "ghosts": (
@@ -200,7 +197,7 @@ WRITTEN = ("--out", "out", "--force")
 ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
     **{("bsdf", option): (*line, "--json") for option, line in MODELS.items()},
     **{
-        ("import", option): MESH
+        ("import", option): ("tube.step", "-o", "made.xml", "--force")
         for option in ("--move-mm", "--tilt-deg", "--most-analytic", "--tolerance-mm", "--time-limit-s", "--space")
     },
     **{
@@ -224,7 +221,6 @@ ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
     ("sensitivity", "--band-deg"): (*LINES["sensitivity"], "--metric", "pst_band"),
     ("sensitivity", "--patch-deg"): (*LINES["sensitivity"], "--metric", "veiling_glare"),
 }
-
 
 TRACED = ("ghosts", "try.xml", "--json", "--rays", "200")
 
@@ -251,12 +247,12 @@ def scene_tries() -> list[Try]:
 
 def write(folder: Path) -> None:
     data = Path(__file__).parent / "data"
-    (folder / "scene.xml").write_text(SCENE, encoding="utf-8")
+    (folder / "scene.xml").write_text(scene_with("abg"), encoding="utf-8")
     (folder / "lens.xml").write_text(FAR, encoding="utf-8")
     (folder / "near.xml").write_text(NEAR, encoding="utf-8")
     (folder / "dark.xml").write_text(scene_with("interface", "T", "0"), encoding="utf-8")
     (folder / "study.toml").write_text(STUDY, encoding="utf-8")
-    (folder / "budget.toml").write_text(BUDGET, encoding="utf-8")
+    (folder / "budget.toml").write_text(vectors.text("fuzz_budget.toml"), encoding="utf-8")
     write_zemax_bsdf(table(Paint(0.05), [0.0], "specular"), folder / "black.bsdf")
     (folder / "bracket.ply").write_text(BRACKET_PLY, encoding="utf-8")
     (folder / "lamp.csv").write_text(LAMP_CSV, encoding="utf-8")

@@ -13,7 +13,6 @@ HUGE = (
 )  # fmt: skip
 NO_NUMBERS = (b"nan", b"NaN", b"-nan", b"inf", b"-INF", b"Infinity", b"1..2", b"0x1F", b"1,5", "½".encode(), b"")
 ENCODINGS = ("utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig", "utf-7", "cp500")
-DEPTHS = (10, 300, 20_000)
 LONGEST = 600  # characters of a clear line
 
 
@@ -107,15 +106,13 @@ def recode(data: bytes, rng: random.Random, nest: Nest) -> bytes:
 
 
 def deepen(data: bytes, rng: random.Random, nest: Nest) -> bytes:
-    depth = rng.choice(DEPTHS)
-    places = [match for match in re.finditer(nest.line, data, re.MULTILINE)]
-    match = rng.choice(places)
+    depth = rng.choice((10, 300, 20_000))
+    match = rng.choice(list(re.finditer(nest.line, data, re.MULTILINE)))
     closed = nest.after * (depth if rng.random() < 0.7 else depth // 2)
     return data[: match.start()] + nest.before * depth + match[0] + closed + data[match.end() :]
 
 
 DAMAGES: tuple[Damage, ...] = (cut, double, swap, garble, huge, no_number, recode, deepen)
-
 
 # ---- damages that know the format of a scene; `write_companions` makes the files that they refer to
 
@@ -203,8 +200,7 @@ def expand(data: bytes, rng: random.Random, nest: Nest) -> bytes:
     )
     kind = rng.choice(kinds)
     count = 2000 if kind is square else 1
-    value = _one(rb' value="([^"]*)"', data, rng)
-    data = _instead(value, b"&e8;" * count, data, 1)
+    data = _instead(_one(rb' value="([^"]*)"', data, rng), b"&e8;" * count, data, 1)
     if rng.random() < 0.3:
         text = b'<default name="x" value="$y"/><default name="y" value="$x"/>'
         data = re.sub(rb"(<scene[^>]*>)", rb"\1" + text, data).replace(b"&e8;", b"$x")
@@ -222,9 +218,8 @@ def misfile(data: bytes, rng: random.Random, nest: Nest) -> bytes:
     if kind == 0:
         return _instead(_one(rb"<bsdf [^>]*>(.*?)</bsdf>", data, rng), b'<string name="table" ' + value, data, 1)
     if kind == 1:
-        film = b'<bsdf type="thinfilm"><string name="table" ' + value + b"</bsdf>"
         at = _one(rb"</bsdf>", data, rng).start()
-        return data[:at] + film + data[at:]
+        return data[:at] + b'<bsdf type="thinfilm"><string name="table" ' + value + b"</bsdf>" + data[at:]
     if kind == 2:
         found = _one(rb'<string name="(?:back|front)" value="([^"]*)"', data + b'<string name="front" value=""', rng)
         return _instead(found, name.encode(), data, 1) if found.end() <= len(data) else data
@@ -240,9 +235,8 @@ def include(data: bytes, rng: random.Random, nest: Nest) -> bytes:
     """Includes of itself, of files that include each other, of folders and of what is no scene; or many times."""
     alone = [[name] for name in (*COMPANIONS, "SELF", "/etc/passwd", "/dev/null")]
     names = rng.choice([*alone, ["piece.xml"] * 200])
-    text = b"".join(b'<include filename="' + name.encode() + b'"/>' for name in names)
     at = rng.choice([match.end() for match in re.finditer(rb"<(?:scene|shape|bsdf)\b[^>]*>", data)])
-    return data[:at] + text + data[at:]
+    return data[:at] + b"".join(b'<include filename="' + name.encode() + b'"/>' for name in names) + data[at:]
 
 
 def blank(data: bytes, rng: random.Random, nest: Nest) -> bytes:

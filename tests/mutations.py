@@ -1,5 +1,4 @@
-"""
-Faults that are put into a copy of the program, one at a time: `python tests/mutations.py [NAME ...]`.
+"""Faults that are put into a copy of the program, one at a time: `python tests/mutations.py [NAME ...]`.
 
 A fault is caught if a test fails that `make test` runs, in the files named beside it. The run says which, and ends with
 exit code 1 if a fault is not caught.

@@ -210,9 +210,8 @@ def run_one(argv: list[str], limit_s: float, strict: bool = False) -> dict[str, 
     if code == 0:
         with contextlib.suppress(ValueError):
             absent |= set(nothing(json.loads(printed.getvalue())))
-    peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
     return {"code": code, "error": error, "seconds": seconds, "said": complained.getvalue(), "absent": sorted(absent),
-            "peak_MB": peak_MB}  # fmt: skip
+            "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000}  # fmt: skip
 
 
 class Worker:

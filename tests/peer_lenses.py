@@ -140,13 +140,10 @@ def by_optiland(path: Path) -> ByOptiland:
     return ByOptiland(optic, unit, wavelength, float(-ahead / u[-1]) * unit, float(-ahead * y[-2] / u[-1]) * unit)
 
 
-READERS = {"optiland": by_optiland, "rayoptics": by_rayoptics}
-
-
 def peer(program: str, path: Path) -> tuple[Lens | None, str]:
     """A lens file by another program, and the kind of its failure instead."""
     try:
-        return READERS[program](path), ""
+        return {"optiland": by_optiland, "rayoptics": by_rayoptics}[program](path), ""
     except Exception as error:  # whatever they raise is a refusal
         return None, type(error).__name__
 

@@ -60,21 +60,15 @@ def public_objects() -> dict[str, Any]:
     for home in pkgutil.walk_packages(mistray.physics.__path__, "mistray.physics."):
         last = home.name.rpartition(".")[2]
         if not home.ispkg and not last.startswith("_"):
-            own = vars(importlib.import_module(home.name)).items()
-            named += [(f"{last}.{name}", value) for name, value in own if _is_own(name, value, home.name)]
+            there = vars(importlib.import_module(home.name)).items()
+            own = [(name, value) for name, value in there if getattr(value, "__module__", "") == home.name]
+            named += [(f"{last}.{name}", value) for name, value in own if not name.startswith("_")]
     # Each object once, by its own name: some have another from before version 0.3
-    named = [(name, value) for name, value in named if callable(value) and _of_mistray(value)]
+    of_mistray = [one for one in named if str(getattr(one[1], "__module__", "")).startswith("mistray")]
+    named = [(name, value) for name, value in of_mistray if callable(value)]
     names = {id(value): name for name, value in named}
     names |= {id(value): name for name, value in named if name == getattr(value, "__name__", "")}
     return {name: value for name, value in named if names[id(value)] == name}
-
-
-def _is_own(name: str, value: Any, module: str) -> bool:
-    return not name.startswith("_") and getattr(value, "__module__", "") == module
-
-
-def _of_mistray(value: Any) -> bool:
-    return str(getattr(value, "__module__", "")).startswith("mistray")
 
 
 def arguments(made: set[str]) -> Iterator[tuple[str, set[str]]]:

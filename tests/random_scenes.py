@@ -74,7 +74,6 @@ GLASSES = ("N-BK7", "N-SF11", "N-LAK9", "fused silica k=0", "nd=1.544 Vd=56.1 k=
 ORACLE_GLASSES = ("nd=1.544 Vd=56.1 k=0", "1.5", "1.9", "1.62+1e-7i", "1.5+2e-6i", "N-BK7 k=1e-8")
 FILMS = ("MgF2", "Ta2O5 k=0", "SiO2 k=0", "1.7", "2.2", "2.1+0.001i", "1.3")
 SAMPLES = 257  # radii at which faces are compared
-PIXELS = 16
 
 
 @dataclass(frozen=True)
@@ -413,7 +412,7 @@ class _Builder:
         at = z + (end - z) * (u(0.3, 0.9) if self.plan.end == "mirror" else u(0.5, 0.999))
         size = scale * 10 ** u(-0.7, 0.2)
         values: dict[str, Any] = {"R": self.rng.choice((0.0, u(0, 0.5)))}
-        meter = meter_xml(PIXELS)
+        meter = meter_xml(16)
         pose = (0.0, 0.0, 0.0, 0.0, at)
         bsdf = interface_xml(**values)
         if self.plan.detector == "stock":

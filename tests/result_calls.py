@@ -73,13 +73,8 @@ CALLS: dict[str, Callable[[], Any]] = {
     "mistray.trace.trace": lambda: mistray.trace(load("coated.xml"), rays=64),
 }
 LONG = {
-    "mistray.analysis.first_level",
-    "mistray.analysis.study",
-    "mistray.optimize.budget",
-    "mistray.optimize.optimize",
-    "mistray.report.view",
-    "mistray.sweeps.rank_edits",
-    "mistray.sweeps.sweep_pst",
+    *("mistray.analysis.first_level", "mistray.analysis.study", "mistray.optimize.budget", "mistray.optimize.optimize"),
+    *("mistray.report.view", "mistray.sweeps.rank_edits", "mistray.sweeps.sweep_pst"),
 }
 
 

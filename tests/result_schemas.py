@@ -1,5 +1,4 @@
-"""
-JSON schemas of what commands print with `--json`, from what their calls with all options print.
+"""JSON schemas of what commands print with `--json`, from what their calls with all options print.
 
 `python tests/result_schemas.py [COMMAND…]` writes them for `mistray COMMAND --schema result`. Texts and units come from
 the rows of tables and from the ends of names, see docs/json.md; tests hold outputs against them.
@@ -26,7 +25,6 @@ BY_NAME = {
     *("absorbed_W", "absorbed_in_W", "cut_W", "facts", "settings", "gaps", "holds", "edge_widths", "percentiles"),
     *("tables", "left_out", "values", "sampling", "grid", "left", "entrances"),
 }
-NO_FORCE = ("doctor", "cache")
 LIST = re.compile(r"\[[^\[\]{}]*\]")  # of words: on one line
 NAME = re.compile(r"[A-Za-z]\w*")
 
@@ -145,7 +143,7 @@ def outputs(name: str) -> Iterator[dict[str, Any]]:
             words = [name, *(word for word in words if word not in ("--quiet", "--json", "--force")), "--json"]
             if "nonsense://x" in words:
                 continue
-            code, out, err = ran(words if name in NO_FORCE or "--resume" in words else [*words, "--force"])
+            code, out, err = ran(words if name in ("doctor", "cache") or "--resume" in words else [*words, "--force"])
             if code:
                 print(f"mistray {' '.join(words)}: {err}", file=sys.stderr)
             else:

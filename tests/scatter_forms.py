@@ -223,8 +223,7 @@ def particles(v: Values, light: Light, share: float) -> Array:
 
 @dataclass(frozen=True)
 class Form:
-    """
-    A plugin with its values, and what it scatters: `parts` per unit of R or T, or of the light where `absolute`.
+    """A plugin with its values, and what it scatters: `parts` per unit of R or T, or of the light where `absolute`.
 
     Those `about_normal` need no specular direction; with `own_share` R or T is the third argument of the only part.
     """

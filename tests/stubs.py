@@ -26,7 +26,6 @@ from mistray.ranges import demand_of
 ROOT = Path(__file__).parents[1]
 HEAD = '"""{what}"""\n\n# Written by tests/stubs.py from what the functions are when they run\n'
 FOLDERS = ("plugins", "scenes")  # of the repository, which the installed package holds
-TEXTS = ("__version__",)
 LITERAL = bool | int | float | str | tuple | range | None
 
 
@@ -56,20 +55,13 @@ def stub(package: str) -> str:
             imports = types.imports | imports
         elif name in FOLDERS:
             imports |= {"ModuleType": "from types import ModuleType", name: f"{name}: ModuleType"}
-        elif name in TEXTS:
+        elif name == "__version__":
             imports[name] = f"{name}: str"
         else:
             imports[name] = f"from {home_of(module, name)} import {name} as {name}"
     head = HEAD.format(what=(module.__doc__ or "").partition("\n")[0])
-    return "\n".join(
-        [
-            head,
-            *sorted(imports.values(), key=lambda line: "import" not in line),
-            f"\n__all__ = {module.__all__}",
-            *functions,
-            "",
-        ]
-    )
+    lines = sorted(imports.values(), key=lambda line: "import" not in line)
+    return "\n".join([head, *lines, f"\n__all__ = {module.__all__}", *functions, ""])
 
 
 def is_defined(module: ModuleType, name: str) -> bool:

@@ -87,9 +87,7 @@ def test_record_keeps_what_was_not_run_again(tmp_path):
 
     path = tmp_path / "last.json"
     assert read(path) == {}
-    old = {
-        one.name: one for one in (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))
-    }
+    old = {k.name: k for k in (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))}
     write(path, old)
     found = read(path)
     assert found == old
@@ -143,8 +141,7 @@ def test_ghosts_of_another_reflectance_are_not_the_same_work(monkeypatch):
 
     telescope = telescopes.TELESCOPES[0]
     trace = telescopes.ours(telescope, telescopes.scene_of(telescope), 300)
-    split = telescopes.theirs(telescope, trace)()
-    assert telescopes.same_ghosts(trace, split).startswith("34 ghosts, flux to ")
+    assert telescopes.same_ghosts(trace, telescopes.theirs(telescope, trace)()).startswith("34 ghosts, flux to ")
     monkeypatch.setattr(telescopes, "REFLECTANCE", 0.0202)
     brighter = telescopes.theirs(telescope, trace)()
     with pytest.raises(NotTheSameWorkError, match="flux"):
@@ -157,8 +154,7 @@ def test_run_keeps_compares_and_is_strict(tmp_path, monkeypatch, capsys):
 
     def measure(ratio, *options, more=()):
         monkeypatch.setattr(spheres, "rows", lambda quick: iter([row(ratio, bar=5.0), *more]))
-        code = bench.main(["--only", "mie", "--folder", str(tmp_path), *options])
-        return code, capsys.readouterr().out
+        return bench.main(["--only", "mie", "--folder", str(tmp_path), *options]), capsys.readouterr().out
 
     def kept():
         return [entry["ratio"] for entry in json.loads((tmp_path / "last.json").read_text())["rows"]]
@@ -292,8 +288,7 @@ def test_same_outputs_uses_every_option_of_every_command(monkeypatch):
 def test_outputs_are_the_same_but_for_their_errors(before, after, exact, places):
     from output_differences import unlike
 
-    start = "" if isinstance(before, dict) else "text"
-    assert [place for place, _, _ in unlike(before, after, exact, start)] == places
+    assert [place for place, _, _ in unlike(before, after, exact, "" if isinstance(before, dict) else "text")] == places
 
 
 @pytest.mark.long
@@ -307,9 +302,8 @@ def test_outputs_that_changed_are_named(tmp_path):
     design = before["options"]["coating"]["options"]["--design-nm"]
     assert "(550)" in design["help"]
     design["help"] = design["help"].replace("(550)", "(500)")
-    table = next(
-        one["files"]["ar.csv"] for name, one in before["calls"].items() if "--csv ar.csv" in name and one["files"]
-    )
+    wrote = (call["files"] for name, call in before["calls"].items() if "--csv ar.csv" in name and call["files"])
+    table = next(wrote)["ar.csv"]
     table["columns"]["reflectance"] = table["columns"].pop(table["head"][-1])
     first.write_text(json.dumps(before))
     told, _ = run(second, "--commands", "coating", "--against", first, program="same_outputs.py", code=1)

@@ -95,10 +95,9 @@ def test_the_command_line_itself_imports_nothing_heavy(file: Path) -> None:
 
 
 def test_every_command_is_in_the_list_and_those_with_tables_have_formats() -> None:
-    files = [*PACKAGE.glob("cli/commands/*.py"), *PACKAGE.glob("analyses/*/command.py")]
     names = {
         file.parent.name if file.stem == "command" else file.stem
-        for file in files
+        for file in [*PACKAGE.glob("cli/commands/*.py"), *PACKAGE.glob("analyses/*/command.py")]
         if re.search(r"^COMMAND = ", file.read_text(encoding="utf-8"), re.MULTILINE)
     }
     assert {module.__name__.removesuffix(".command").rpartition(".")[2] for module in program.COMMANDS} == names
@@ -175,9 +174,7 @@ def test_errors_are_one_line(capsys: Captured, monkeypatch: Patch, error: BaseEx
     assert fails(capsys, "ghosts", "lens.xml") == line
 
 
-def test_nothing_is_written_when_the_trace_fails(
-    capsys: Captured, fake: Calls, monkeypatch: Patch, tmp_path: Path
-) -> None:
+def test_a_trace_that_fails_writes_nothing(capsys: Captured, fake: Calls, monkeypatch: Patch, tmp_path: Path) -> None:
     traces = importlib.import_module("mistray.analyses.ghosts.field_traces")
     monkeypatch.setattr(traces, "trace", raising(MistrayError("field 80 deg: no ray meets the lens")))
     fails(capsys, "ghosts", "lens.xml", "--out", tmp_path / "out")
@@ -185,9 +182,7 @@ def test_nothing_is_written_when_the_trace_fails(
 
 
 @pytest.mark.parametrize("within", [False, True])
-def test_an_interrupt_before_anything_is_saved(
-    capsys: Captured, monkeypatch: Patch, tmp_path: Path, within: bool
-) -> None:
+def test_an_interrupt_before_all_is_saved(capsys: Captured, monkeypatch: Patch, tmp_path: Path, within: bool) -> None:
     """Also as Dr.Jit has it, as a RuntimeError; what another run has saved is none that --force goes on from."""
     error = RuntimeError("while_loop(): encountered an exception") if within else KeyboardInterrupt()
     error.__cause__ = KeyboardInterrupt() if within else None
@@ -202,8 +197,7 @@ def test_a_real_scene_in_colour(capfd: Captured, tmp_path: Path) -> None:
     out = tmp_path / "out"
     lines = ("--wavelength-nm", "450", "550", "650", "--weights", "1", "2", "1")
     options = ("--rays", "4000", "--out", out, "--json", "--per-wavelength", "--colour", "--stops", "1.5")
-    answer = json_units.read(succeeds(capfd, "ghosts", "plate", *lines, *options))
-    (field,) = answer["fields"]
+    (field,) = json_units.read(succeeds(capfd, "ghosts", "plate", *lines, *options))["fields"]
     parts = field["per_wavelength"]
     assert [part["wavelength_nm"] for part in parts] == [450.0, 550.0, 650.0]
     assert [part["share_of_flux"] for part in parts] == pytest.approx([0.25, 0.5, 0.25])

@@ -35,11 +35,6 @@ def examples(parser: argparse.ArgumentParser) -> list[str]:
     return [line.partition("    #")[0].strip() for line in lines if line.startswith("  ")]
 
 
-def bracket(action: argparse.Action) -> str | None:
-    found = re.findall(r"\(([^()]+)\)", action.help or "")
-    return found[-1] if found else None
-
-
 @pytest.mark.parametrize("name", ["", *COMMANDS])
 def test_examples_are_commands(name: str) -> None:
     """Those of a command, and of the program, some of which ask for help."""
@@ -57,7 +52,7 @@ def test_examples_are_commands(name: str) -> None:
 def test_defaults_are_those_that_hold(name: str) -> None:
     """A setting of the trace: that of `Settings`. Any other number that argparse fills in: that number."""
     for action in OPTIONS[name]:
-        told = bracket(action)
+        told = (re.findall(r"\(([^()]+)\)", action.help or "") or [None])[-1]
         if action.dest in SETTINGS and action.default is None and action.dest not in ("rays", "ray_control"):
             default = SETTINGS[action.dest]
             if isinstance(default, str):

@@ -16,10 +16,8 @@ import mistray.scenes
 
 pytestmark = pytest.mark.quick
 
-COATINGS = Path(__file__).parent / "data" / "coating_sample.dat"
 CAMERA = Path(mistray.scenes.__file__).parent / "phone_camera" / "prescription.json"
 INDEX = 1.5168
-DARK = vectors.text("dark.yaml")
 
 
 @pytest.fixture(autouse=True)
@@ -101,7 +99,7 @@ def test_options_reach_the_scene(capsys):
     """The path of a coating file in a scene is relative to it, that on the command line to the current folder."""
     for folder in ("lib", "out"):
         Path(folder).mkdir()
-    Path("lib/COATING.DAT").write_bytes(COATINGS.read_bytes())
+    Path("lib/COATING.DAT").write_bytes((vectors.DATA / "coating_sample.dat").read_bytes())
     Path("singlet.zmx").write_text(ZMX.replace("  CURV 0.02\n", "  CURV 0.02\n  COAT AR\n"))
     succeeds(capsys, "import", "singlet.zmx", "-o", "out/a.xml", "--edges", "ground", "--margin", 0.1, "--beam",
              "front", "--detector-half-mm", 3, 2, "--wavelength-nm", 600, "--glass", "N-BK7=1.7",
@@ -152,7 +150,7 @@ def test_the_beam_and_the_stop(capsys):
 def test_no_light_arrives(capsys):
     """A plate in the beam: batoid drops what it obscures, and here everything is obscured."""
     pytest.importorskip("batoid")
-    Path("dark.yaml").write_text(DARK)
+    Path("dark.yaml").write_text(vectors.text("dark.yaml"))
     code, out, err = run(capsys, "import", "dark.yaml", "-o", "dark.xml", "--wavelength-nm", 500)
     assert (code, err.count("\n")) == (2, 1)
     assert "'lid' takes 100 %" in err

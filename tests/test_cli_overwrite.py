@@ -25,7 +25,6 @@ from mistray.replace_file import Guard, guarding, replace_file
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
 TABLE = "wavelength_nm,angle_deg,R,T\n" + "".join(f"{nm},{deg},0.01,0.99\n" for nm in (400, 700) for deg in (0, 45))
 GLASS = "NM OWN 1 0 1.5 60\nCD 2.25 0 0 0 0 0\nLD 0.3 2.5\nIT 0.3 0.9 10\nIT 2.5 0.9 10\n"
-MESH = vectors.text("triangle.ply")
 # Files of a system in one folder; the scene includes one, in which another is named
 SYSTEM = {
     "whole.xml": scene_text(
@@ -36,7 +35,7 @@ SYSTEM = {
     ),
     "part.xml": '<scene version="3.0.0"><shape type="ply"><string name="filename" value="mesh.ply"/>'
     f"{interface_xml(R=0.0)}</shape></scene>",
-    "mesh.ply": MESH,
+    "mesh.ply": vectors.text("triangle.ply"),
     "glass.agf": GLASS,
     "lines.csv": "nm value\n500 1\n600 1\n",
     "edits.toml": '[[configuration]]\nname = "bare"\ncoat = { front = "other.csv" }\n',
@@ -76,15 +75,8 @@ ENDINGS = {"--plot": ".png", "--csv": ".csv", "--table": ".csv", "--layout": ".s
 def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     """The working folder, with a file of every kind that commands read."""
     monkeypatch.chdir(tmp_path)
-    texts = {
-        "scene.xml": INPUTS["bare.xml"],
-        "lens.zmx": ZMX,
-        "cube.obj": CUBE,
-        "study.toml": STUDY,
-        "budget.toml": BUDGET,
-        "own.toml": OWN,
-    }
-    for name, text in {**texts, "table.csv": TABLE}.items():
+    texts = {"scene.xml": INPUTS["bare.xml"], "lens.zmx": ZMX, "cube.obj": CUBE, "table.csv": TABLE}
+    for name, text in {**texts, "study.toml": STUDY, "budget.toml": BUDGET, "own.toml": OWN}.items():
         (tmp_path / name).write_text(text)
     return tmp_path
 

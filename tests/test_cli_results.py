@@ -184,19 +184,16 @@ class TestSensitivity:
             "not in the derivatives: branches below flux_threshold",
         ):  # fmt: skip
             assert words in printed
-        assert {"draws.csv", "monte_carlo.png", "sensitivity.parquet", "propagation.parquet", "draws.parquet"} <= (
-            names_in(out)
-        )
+        tables = {"sensitivity.parquet", "propagation.parquet", "draws.parquet"}
+        assert tables | {"draws.csv", "monte_carlo.png"} <= names_in(out)
         draws = pd.read_parquet(out / "draws.parquet")
         assert draws.ratio.tolist() == pytest.approx(pd.read_csv(out / "draws.csv").ratio.tolist(), rel=1e-8)
         assert list(pd.read_csv(out / "sensitivity.csv").change_percent.round(3)) == [20, 20, 5, 5]
-        html = (out / "report.html").read_text(encoding="utf-8")
-        assert html.count("data:image/png") == 2
+        assert (out / "report.html").read_text(encoding="utf-8").count("data:image/png") == 2
 
     def test_a_time_and_a_saved_run(self, capsys: Captured, plate: str, tmp_path: Path) -> None:
         """What had no time is told; the run goes on in its folder."""
-        out = tmp_path / "out"
-        command = ("sensitivity", plate, *SHARES, "--rays", "2e6", "--out", out, "--json")
+        command = ("sensitivity", plate, *SHARES, "--rays", "2e6", "--out", tmp_path / "out", "--json")
         code, printed, _ = run(capsys, *command, "--monte-carlo", "100000", "--seconds", "5")
         short = json.loads(printed)
         assert code == 0
@@ -369,14 +366,11 @@ def searched(capsys: Captured, *arguments: str) -> tuple[int, str, str]:
 def test_a_time_budget(capsys: Captured, files: tuple[str, str, str]) -> None:
     """A search without an end of its own ends in time, says why, and leaves all files; later it goes on from there."""
     scene, study, out = files
-    endless = LONGER.replace(
-        "steps = 3", 'steps = 10000\ntolerance = 0\nmethod = "adam"\ndecay = 1.0\nstep_size = 1e-4'
-    )
-    Path(study).write_text(endless)
+    many = 'steps = 10000\ntolerance = 0\nmethod = "adam"\ndecay = 1.0\nstep_size = 1e-4'
+    Path(study).write_text(LONGER.replace("steps = 3", many))
     began = time.perf_counter()
-    code, printed, errors = searched(
-        capsys, scene, study, "--out", out, "--seconds", str(SECONDS), "--formats", "parquet"
-    )
+    more = ("--out", out, "--seconds", str(SECONDS), "--formats", "parquet")
+    code, printed, errors = searched(capsys, scene, study, *more)
     spent = time.perf_counter() - began
     assert code == 0
     assert all("compilation of kernels" in line for line in errors.splitlines())  # told where nothing is in the cache
@@ -423,9 +417,8 @@ class TestInterruption:
             self.interrupt(patch, 3)
             code, printed, errors = searched(capsys, scene, study, "--out", out)
         assert (code, printed) == (130, "")
-        assert (
-            errors == f"mistray: interrupted; all steps are in {Path(out) / 'checkpoint.json'}, go on with --resume\n"
-        )
+        place = Path(out) / "checkpoint.json"
+        assert errors == f"mistray: interrupted; all steps are in {place}, go on with --resume\n"
         code, printed, _ = searched(capsys, scene, study, "--out", out, "--resume")
         assert code == 0
         assert "before / after" in printed
@@ -440,8 +433,7 @@ class TestInterruption:
         assert (code, errors) == (130, "mistray: interrupted, nothing was written\n")
 
 
-EXPLORED = "singlet_window_detector"
-QUICK = ("app", EXPLORED, "--rays", "500", "--no-browser", "--field-deg", "0")
+QUICK = ("app", "singlet_window_detector", "--rays", "500", "--no-browser", "--field-deg", "0")
 
 
 def test_the_address_is_printed(capsys: Captured, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 import peers
 import pytest
-from command_line import Patch, run
+from command_line import Captured, Patch, run
 from example_scripts import script
 from oracles.layers import stack_powers
 from test_cli_import import SEQ, ZMX
@@ -134,9 +134,8 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_every_picture_is_shown_and_every_drawn_one_is_there(monkeypatch: Patch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "site"))
-    drawn = script("page_pictures", ROOT / "docs" / "site").PICTURES
     there = {file.name for file in (ROOT / "docs" / "images").glob("*.[ps][nv]g")}
-    assert {f"{name}.png" for name in drawn} <= there
+    assert {f"{name}.png" for name in script("page_pictures", ROOT / "docs" / "site").PICTURES} <= there
     text = "".join(page.read_text(encoding="utf-8") for page in (README, *ALL_PAGES))
     assert [name for name in sorted(there) if f"images/{name})" not in text] == []
 
@@ -145,9 +144,7 @@ def test_every_picture_is_shown_and_every_drawn_one_is_there(monkeypatch: Patch)
     "line",
     [line for line in dict.fromkeys(command_lines(README) + command_lines(COMMANDS)) if line.startswith("mistray")],
 )
-def test_a_command_of_the_readme_and_of_the_list(
-    line: str, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_of_the_readme_and_of_the_list(line: str, monkeypatch: Patch, capsys: Captured) -> None:
     monkeypatch.chdir(ROOT)
     Path("out").mkdir(exist_ok=True)
     force = ["--force"] if " out/" in line else []  # which may hold the results of an earlier run of this test
@@ -204,7 +201,6 @@ def test_docstrings_of_functions_have_the_sections_of_numpydoc(caplog: pytest.Lo
     assert not [message for message in caplog.messages if "mistray/" in message]
 
 
-DATA = Path(__file__).parent / "data"
 TOML = re.compile(r"^```toml\n(.*?)^```", re.MULTILINE | re.DOTALL)
 TITLED = re.compile(r"^```(?:json|toml) title=\"([\w.]+)\"\n(.*?)^```", re.MULTILINE | re.DOTALL)
 TRIPLET = ROOT / "scenes" / "cooke_triplet" / "scene.xml"
@@ -236,7 +232,7 @@ def cooled(path: Path) -> None:
 
 def assembly(path: Path) -> None:
     """A STEP file of two parts, a vane and a tube."""
-    text = (DATA / "assembly_inch.step").read_text(encoding="utf-8")
+    text = (Path(__file__).parent / "data" / "assembly_inch.step").read_text(encoding="utf-8")
     path.write_text(text.replace("'ring','ring'", "'vane','vane'").replace("'bracket','bracket'", "'tube','tube'"))
 
 
@@ -397,8 +393,7 @@ def exported(printed: str) -> None:
 def own_coating(printed: str) -> None:
     """The table reflects what the layers do that it was made of."""
     assert "own: L1_front" in printed
-    scene = mistray.load(OUT / "own.xml")
-    coatings = {shape.id(): getattr(shape.bsdf(), "coating", None) for shape in scene.shapes()}
+    coatings = {shape.id(): getattr(shape.bsdf(), "coating", None) for shape in mistray.load(OUT / "own.xml").shapes()}
     assert (type(coatings["L1_front"]).__name__, type(coatings["L1_rear"]).__name__) == ("CoatingTable", "Stack")
     table = pd.read_csv(OUT / "own.csv", comment="#").set_index(["wavelength_nm", "angle_deg"])
     (expected,), _ = stack_powers(1.0, [1.3837, 1.6561], [99.64, 80.0], 1.6938, 550.0, np.ones(1))  # N-LAK9
@@ -408,21 +403,18 @@ def own_coating(printed: str) -> None:
 def own_bsdf(printed: str) -> None:
     """A table of a Lambertian paint scatters as the paint does."""
     paint = mistray.coat("plate_and_wall", {}, scatter={"screen": "paint reflectance=0.05"})
-    p = mistray.pst(paint, [30.0], rays=20_000)
-    stray, error = (float(curve[0]) for curve in p.curve("stray"))
+    stray, error = (float(curve[0]) for curve in mistray.pst(paint, [30.0], rays=20_000).curve("stray"))
     _, _, found, found_error = numbers(printed, "30")[:4]
     assert abs(found - stray) < 4 * (error**2 + found_error**2) ** 0.5
 
 
 def compared(printed: str) -> None:
-    ratio = re.findall(r"makes ghosts ([\d.]+) ± [\d.]+ times weaker", printed)
-    assert float(*ratio) > 2
+    assert float(*re.findall(r"makes ghosts ([\d.]+) ± [\d.]+ times weaker", printed)) > 2
 
 
 def handed_over(printed: str) -> None:
     del printed
-    page = (OUT / "study" / "report.html").read_text(encoding="utf-8")
-    assert not re.search(r"(src|href)=[\"']https?:", page)
+    assert not re.search(r"(src|href)=[\"']https?:", (OUT / "study" / "report.html").read_text(encoding="utf-8"))
     assert (OUT / "study" / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -497,8 +489,7 @@ def test_the_tables_are_whole_and_every_task_has_something_here() -> None:
 
 
 def test_every_program_of_the_title_has_its_words() -> None:
-    title = COMING_FROM.partition("\n")[0]
-    for program_ in re.findall(r"ASAP|FRED|TracePro|OpticStudio", title):
+    for program_ in re.findall(r"ASAP|FRED|TracePro|OpticStudio", COMING_FROM.partition("\n")[0]):
         assert f"## The words of {program_}\n" in COMING_FROM
 
 

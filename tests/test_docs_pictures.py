@@ -51,10 +51,8 @@ def test_commands_of_pictures_and_outputs_of_cells():
         assert told in words, told
     stream = {"output_type": "stream", "name": "stdout", "text": ["a <b>\n"] * 50}
     picture = {"output_type": "display_data", "data": {"image/png": "QQ==\n", "text/plain": "<Figure>"}}
-    view = {
-        "output_type": "execute_result",
-        "data": {"text/html": "<iframe srcdoc='x'></iframe>", "text/plain": "View"},
-    }
+    data = {"text/html": "<iframe srcdoc='x'></iframe>", "text/plain": "View"}
+    view = {"output_type": "execute_result", "data": data}
     error = {"output_type": "stream", "name": "stderr", "text": "a warning"}
     page = notebook_results.shown([stream, picture, view, error], "a figure")
     assert page.count("a &lt;b&gt;") == 40

@@ -26,8 +26,7 @@ def by_name(checks):
 def test_this_machine_is_complete(capsys):
     assert doctor.show(doctor.report(), as_json=True) == 0
     checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
-    required = [line for line in importlib.metadata.requires("mistray") if "extra ==" not in line]
-    for line in required:
+    for line in [line for line in importlib.metadata.requires("mistray") if "extra ==" not in line]:
         assert checks[Requirement(line).name]["status"] == "ok"
     assert checks["llvm_ad_rgb"] == {"name": "llvm_ad_rgb", "status": "ok", "found": "runs", "remedy": ""}
     assert checks["libLLVM"]["found"].startswith("LLVM ")

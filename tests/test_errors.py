@@ -85,10 +85,9 @@ def test_the_command_writes_nothing(
 
 
 def test_the_good_scene_and_the_command_as_a_process(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    command = [sys.executable, "-m", "mistray", *COMMAND]
     old, new, words = CASES[0]
     write(old, new)
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, "-m", "mistray", *COMMAND], capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stdout) == (2, "")
     check_line(done.stderr, words)
     assert cli.main(["ghosts", "phone_camra"]) == 2
@@ -121,8 +120,7 @@ def working_folder(tmp_path: Path, monkeypatch: Patch) -> Path:
 def test_one_line_and_nothing_is_written(command: str, working_folder: Path, capsys: Captured) -> None:
     before = sorted(working_folder.rglob("*"))
     for arguments, words in REFUSED[command]:
-        line = fails(capsys, *([command] if command else []), *shlex.split(arguments))
-        assert words in line, arguments
+        assert words in fails(capsys, *([command] if command else []), *shlex.split(arguments)), arguments
     assert sorted(working_folder.rglob("*")) == before
 
 

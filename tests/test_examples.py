@@ -25,7 +25,6 @@ import mistray
 from mistray.toolkit.fields import Request
 
 SITE = Path(__file__).parents[1] / "docs" / "site"
-FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Examples that take long, one by one or together: reports, studies, searches, other processes
 LONG = (
     *("mistray.analysis.*", "mistray.optimize.*", "mistray.recorders.*", "mistray.report.*", "mistray.sweeps.*"),
@@ -63,7 +62,7 @@ def takes_long(name: str) -> bool:
 def failures(name: str, value: Any) -> str:
     """Run the examples of a function, or of a class and its methods, and return what went wrong."""
     told: list[str] = []
-    runner = doctest.DocTestRunner(optionflags=FLAGS, verbose=False)
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE, verbose=False)
     for test in doctest.DocTestFinder().find(value, name, module=False, globs={"mistray": mistray, "np": np}):
         runner.run(test, out=told.append)
     assert runner.tries

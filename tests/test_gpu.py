@@ -19,7 +19,6 @@ from oracles.small_scenes import interface_xml, meter_xml, scene_text, write
 
 SIGMAS = 6.0
 ROUNDING = 1e-5  # relative
-RAYS = 50_000
 
 PROGRAM = """
     import json, sys
@@ -112,7 +111,7 @@ def ball_scene(folder: Path) -> str:
     return str(write(folder, scene_text(ball, detector, radius=2.0)))
 
 
-def numbers(variant: str, folder: Path, rays: int = RAYS) -> dict[str, Any]:
+def numbers(variant: str, folder: Path, rays: int = 50_000) -> dict[str, Any]:
     printed = json.loads(run(PROGRAM, variant, str(rays), ball_scene(folder)).splitlines()[-1])
     assert printed["variant"] == variant
     return printed["found"]

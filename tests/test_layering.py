@@ -93,10 +93,6 @@ def module_of(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def is_type_checking(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-
-
 def uses(file: Path) -> list[Use]:
     module = module_of(file)
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
@@ -114,7 +110,7 @@ def uses(file: Path) -> list[Use]:
             base = ".".join([*start, *([node.module] if node.module else [])])
             for alias in node.names:
                 note(node, f"{base}.{alias.name}" if base == "mistray" else base, lazy)
-        elif not is_type_checking(node):
+        elif not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
             inside = lazy or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
             for child in ast.iter_child_nodes(node):
                 visit(child, inside)
@@ -123,12 +119,9 @@ def uses(file: Path) -> list[Use]:
     return found
 
 
-FILES = sorted(
-    file for folder in ("mistray", "plugins", "scenes") for file in (ROOT / folder).rglob("*.py") if file.is_file()
-)
+FILES = sorted(f for top in ("mistray", "plugins", "scenes") for f in (ROOT / top).rglob("*.py") if f.is_file())
 USES = [use for file in FILES for use in uses(file)]
 HEIGHT = {layer: height for height, layers in enumerate(LAYERS) for layer in layers}
-
 
 MOST_FILES = 20  # that a reader takes in at a glance
 
@@ -170,8 +163,7 @@ def test_modules_import_in_no_circle():
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 inside = [f"{node.module}.{alias.name}" for alias in node.names]
                 imports[module_of(file)] |= {name if name in names else node.module for name in inside} & names
-    graph = graphlib.TopologicalSorter(imports)
-    graph.prepare()  # raises where modules need each other
+    graphlib.TopologicalSorter(imports).prepare()  # raises where modules need each other
 
 
 def test_the_rooms_are_listed_in_their_order():
@@ -179,9 +171,7 @@ def test_the_rooms_are_listed_in_their_order():
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     said = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
     rooms = {file.parent.name: file for file in (ROOT / "mistray").glob("*/__init__.py")}
-    assert said == {
-        name: ast.get_docstring(ast.parse(file.read_text())).splitlines()[0] for name, file in rooms.items()
-    }
+    assert said == {name: ast.get_docstring(ast.parse(f.read_text())).splitlines()[0] for name, f in rooms.items()}
     heights = [HEIGHT[name] for name in said if name not in ("cache", "files")]  # everybody uses these
     assert heights == sorted(heights)
 

@@ -38,12 +38,10 @@ def scene() -> mi.Scene:
 def two_balls(near: str) -> str:
     """Two balls of glass before a detector; the normal of a sphere points outwards: it comes from the front, inside."""
     ball = '<shape type="sphere" id="{}"><float name="radius" value="{}"/>{}</shape>'
-    centre = '<point name="center" x="0" y="0" z="15"/>'
-    far = ball.format("far", 9, centre + interface_xml("1.5", "air"))
+    far = ball.format("far", 9, '<point name="center" x="0" y="0" z="15"/>' + interface_xml("1.5", "air"))
     detector = shape_xml("asphere", "detector", 30.0, sensor=True, half_width=9.0, half_height=9.0)
     text = scene_text(ball.format("near", 5, near), far, detector, radius=3.0)
-    place = '<transform name="to_world"><translate z="-20"/></transform></emitter>'
-    return text.replace("</emitter>", place)
+    return text.replace("</emitter>", '<transform name="to_world"><translate z="-20"/></transform></emitter>')
 
 
 def test_medium_on_the_wrong_side(load_scene):
@@ -108,8 +106,7 @@ def test_suppressed_notes_are_kept_on_request(scene):
 
 
 def test_every_code_is_documented():
-    rows = re.findall(r"^\| `([a-z-]+)` \|", DOCS.read_text(), re.MULTILINE)
-    assert rows == list(Code)
+    assert re.findall(r"^\| `([a-z-]+)` \|", DOCS.read_text(), re.MULTILINE) == list(Code)
     assert {message.value[0] for message in Message} == set(Code)
 
 
@@ -120,8 +117,7 @@ def test_image_quality(tmp_path: Path) -> None:
     files = report.write_quality(found, tmp_path / "out", frequencies=[20.0])
     assert {"report.html", "image_quality.json"} <= {path.name for path in files}
     assert all(path.stat().st_size for path in files)
-    record = json.loads((tmp_path / "out/image_quality.json").read_text())
-    assert len(record["fields"]) == 1
+    assert len(json.loads((tmp_path / "out/image_quality.json").read_text())["fields"]) == 1
 
 
 @pytest.mark.core

@@ -52,14 +52,8 @@ def folder(tmp_path_factory: Any) -> Iterator[None]:
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (3, [3]),
-        (0, [0]),
-        ("ab", ["ab"]),
-        ("", [""]),
-        ([], []),
-        ((1, 2), [1, 2]),
-        (np.int64(4), [4]),
-        (np.array(5), [5]),
+        *((3, [3]), (0, [0]), ("ab", ["ab"]), ("", [""]), ([], []), ((1, 2), [1, 2])),
+        *((np.int64(4), [4]), (np.array(5), [5])),
     ],
 )
 def test_several(given: Any, expected: list[Any]) -> None:
@@ -72,14 +66,10 @@ def is_formula(name: str) -> bool:
     return "." in name and name[0].islower()
 
 
-def is_quick(name: str) -> bool:
-    """True for what traces nothing: most constructors, and formulas."""
-    return is_formula(name) or ("." not in name and name[0].isupper() and not name.startswith(("Explorer", "PstBands")))
-
-
 def tiers_of(names: Iterable[str]) -> list[Any]:
-    """Parameters of a test, those that trace in the long tier."""
-    return [pytest.param(name, marks=() if is_quick(name) else pytest.mark.long) for name in names]
+    """Parameters of a test, those that trace in the long tier: not most constructors, and not formulas."""
+    made = {n for n in names if "." not in n and n[0].isupper() and not n.startswith(("Explorer", "PstBands"))}
+    return [pytest.param(n, marks=() if n in made or is_formula(n) else pytest.mark.long) for n in names]
 
 
 def matters(name: str, kinds: set[str]) -> bool:

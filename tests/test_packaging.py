@@ -79,9 +79,8 @@ def test_editable_install(clone, tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     zipfile.ZipFile(wheel).extractall(tmp_path)
     (finder,) = tmp_path.glob("__editable___mistray_*_finder.py")
-    statement = next(
-        node for node in ast.parse(finder.read_text()).body if "MAPPING" in ast.unparse(node).split("=")[0]
-    )
+    body = ast.parse(finder.read_text()).body
+    statement = next(node for node in body if "MAPPING" in ast.unparse(node).split("=")[0])
     mapping = {name.replace(".", "/"): Path(folder) for name, folder in ast.literal_eval(statement.value).items()}
     assert mapping == {inside: clone / outside for outside, inside in SOURCES.items()}
 
@@ -103,7 +102,6 @@ PUBLIC = sorted(
     for file in (ROOT / "mistray").rglob("__init__.py")
     if "__all__" in file.read_text(encoding="utf-8")
 )
-
 
 # A module of these may be called as its function, which is what a prompt offers
 LAZY = [f"mistray.{name}" for name in ("analysis", "io", "mechanics", "optimize", "report")]
@@ -127,13 +125,12 @@ def test_public_names(name):
 
 @pytest.mark.quick
 def test_citation_is_of_this_version():
-    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    cited = loaded("CITATION.cff")
     newest = re.search(r"^## \[(\d.+?)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert cited["version"] == project["version"] == newest[1]
-    assert cited["license"] == project["license"]
-    assert cited["keywords"] == project["keywords"]
-    assert [author["name"] for author in cited["authors"]] == [author["name"] for author in project["authors"]]
+    assert cited["version"] == PROJECT["version"] == newest[1]
+    assert cited["license"] == PROJECT["license"]
+    assert cited["keywords"] == PROJECT["keywords"]
+    assert [author["name"] for author in cited["authors"]] == [author["name"] for author in PROJECT["authors"]]
     assert set(cited) >= {"cff-version", "message", "title"}, "what the format requires"
 
 
@@ -202,8 +199,7 @@ def test_addresses_stand_in_one_place_and_what_the_owner_says() -> None:
 @pytest.mark.long
 def test_the_page_of_support_says_how_to_read_addresses() -> None:
     """What pip prints has the addresses of pyproject.toml, once they are there."""
-    page = (ROOT / "docs" / "support.md").read_text(encoding="utf-8")
-    (command,) = re.findall(r"(?m)^pip (.*)$", page)
+    (command,) = re.findall(r"(?m)^pip (.*)$", (ROOT / "docs" / "support.md").read_text(encoding="utf-8"))
     done = subprocess.run([sys.executable, "-m", "pip", *command.split()], capture_output=True, text=True)
     assert "Name: mistray" in done.stdout, done.stderr
     assert "Project-URLs:" in done.stdout
@@ -249,8 +245,7 @@ def test_deprecations_end_when_they_say() -> None:
 
 
 MATRIX = script("make_support_matrix", DOCS)
-README = ROOT / "README.md"
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PROJECT = PYPROJECT["project"]
 
 
 def size_bytes(name: str, seen: dict[str, int]) -> None:
@@ -278,7 +273,7 @@ def test_lowest_versions_are_allowed_by_what_the_tests_ran_with() -> None:
         assert needed.specifier.contains(tested[needed.name.lower()]), text
 
 
-@pytest.mark.parametrize("page", [README, MATRIX.PAGE], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [ROOT / "README.md", MATRIX.PAGE], ids=lambda page: page.stem)
 def test_the_environment_is_as_large_as_the_page_says(page) -> None:
     """Of what pip installs without extras; another file system or Python changes it by some per cent."""
     seen: dict[str, int] = {}
@@ -290,6 +285,5 @@ def test_the_environment_is_as_large_as_the_page_says(page) -> None:
 
 def test_pythons_of_the_page_are_those_of_the_classifiers() -> None:
     named = [text.rpartition(" ")[2] for text in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", text)]
-    tested = re.findall(r"(?m)^\| (3\.\d+) \| tested", MATRIX.PAGE.read_text(encoding="utf-8"))
-    assert named == tested
+    assert named == re.findall(r"(?m)^\| (3\.\d+) \| tested", MATRIX.PAGE.read_text(encoding="utf-8"))
     assert f">={named[0]}" == PROJECT["requires-python"]

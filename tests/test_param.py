@@ -95,7 +95,6 @@ def test_parameters_of_dataclasses_their_rows_and_tolerances() -> None:
 
 
 RANGES = {name: value for name, value in vars(ranges).items() if isinstance(value, Range)}
-NOT_NUMBERS = (None, True, "5", "", [1, 2], object(), 1j)
 
 
 @pytest.mark.parametrize("name", RANGES)
@@ -117,7 +116,7 @@ def test_ends(name: str) -> None:
 
 def test_what_is_no_number_and_whole_numbers() -> None:
     assert ranges.THREADS.high == (os.cpu_count() or 1)
-    for value in NOT_NUMBERS:
+    for value in (None, True, "5", "", [1, 2], object(), 1j):
         with refused(r"^shape 'a': size is "):
             ranges.SIZE_MM.check("size", value, "shape 'a'")
     for text in ("nan", "inf", "1e308", "90", "-90", "abc", "", "1,5"):

@@ -11,7 +11,6 @@ from sentences import literals, of_text, pages, sentences, words
 
 ROOT = Path(__file__).parents[1]
 MOST = 30  # words of a sentence
-PAGES = pages(ROOT)
 PACKAGE = ROOT / "mistray"
 FOLDERS = [PACKAGE, *sorted({source.parent for source in PACKAGE.glob("*/__init__.py")}), ROOT / "plugins"]
 # Old names of arguments and options, and words that the glossary has another one for
@@ -37,15 +36,14 @@ def messages(folder: Path) -> list[tuple[str, str]]:
 def test_what_counts_as_a_sentence() -> None:
     page = "# Title\n\nOne is short. `a.b`, `c` and `d` are\n[two](x.md#y.z).\n"
     page += "\n    code here\n\n| 1 | two. Three |\n"
-    found = list(sentences(page + "```python\nx = 1\n```\n- an item\n  of two lines\n- another\n"))
-    assert found == [
+    assert list(sentences(page + "```python\nx = 1\n```\n- an item\n  of two lines\n- another\n")) == [
         "Title", "One is short.", "Name are two.", "1", "two.", "Three", "an item of two lines", "another",
     ]  # fmt: skip
     assert words("rays are placed to 1e-3 mm … there") == 7
     assert list(literals('"""No."""\nx = f"a {1} b" + "c"\n')) == [(2, "a Name b"), (2, "c")]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize("page", pages(ROOT), ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_pages(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert [sentence for sentence in sentences(text) if words(sentence) > MOST] == []
@@ -88,11 +86,8 @@ def test_identifiers(folder: str) -> None:
         names = {t.string for t in tokenize.generate_tokens(io.StringIO(text).readline) if t.type == tokenize.NAME}
         for name in sorted(names):
             parts = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_")
-            found += [
-                f"{place}: {name}; write {PRIVATE[word]}"
-                for word in parts
-                if word in PRIVATE and (place, word) not in ALLOWED
-            ]
+            own = [word for word in parts if word in PRIVATE and (place, word) not in ALLOWED]
+            found += [f"{place}: {name}; write {PRIVATE[word]}" for word in own]
             found += [f"{place}: {name}; write {LOCAL[name]}"] if name in LOCAL else []
     assert found == []
 

@@ -243,8 +243,7 @@ def in_a_child(work: Callable[[], None], event: int, kill: bool) -> bool:
             sys.addaudithook(hook)
             work()
         os._exit(0 if count < event else 1)
-    status = os.waitpid(child, 0)[1]
-    return status != 0
+    return os.waitpid(child, 0)[1] != 0
 
 
 @pytest.fixture(

@@ -70,8 +70,7 @@ def test_a_file_wins_over_a_shipped_name(tmp_path: Path, monkeypatch: Patch) -> 
     text = find("plate").read_text(encoding="utf-8").replace('id="plate_rear"', 'id="my_rear"')
     (mine / "scene.xml").write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    names = [shape.id() for shape in mistray.load("plate/scene.xml").shapes()]
-    assert "my_rear" in names
+    assert "my_rear" in [shape.id() for shape in mistray.load("plate/scene.xml").shapes()]
 
 
 def test_an_interrupt_while_a_plugin_is_made_is_one(monkeypatch: Patch) -> None:
@@ -197,8 +196,7 @@ def test_a_folder_that_led_to_a_file_may_go(tmp_path):
     (tmp_path / "glass.csv").write_text("wavelength_nm,n,k\n400,1.5,0\n700,1.5,0\n")
     folder = tmp_path / "gone"
     folder.mkdir()
-    text = plates_text(1).replace('"1.5"', '"glass.csv"')
-    head, tag, rest = text.partition(">")
+    head, tag, rest = plates_text(1).replace('"1.5"', '"glass.csv"').partition(">")
     (folder / "scene.xml").write_text(f'{head}{tag}<path value=".."/>{rest}')
     scene = mistray.load(folder / "scene.xml")
     shutil.rmtree(folder)

@@ -21,7 +21,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import vectors
-from command_line import fails
+from command_line import Captured, fails
 from refusals import refused
 from test_cli_import import SEQ, ZMX
 
@@ -131,8 +131,7 @@ def test_nor_from_the_resources_of_a_dict(payload: Payload, tmp_path: Path) -> N
         payload.put(tmp_path / "plugins" / f"{name}{SUFFIX}")
     given = {"type": "scene", "files": {"type": "resources", "path": str(tmp_path)}}
     refusal(lambda: mistray.load({**given, "wall": {"type": "evil"}}))
-    scene = mistray.load({**given, "wall": {"type": "sphere", "bsdf": {"type": "pplastic"}}})
-    assert len(scene.shapes()) == 1
+    assert len(mistray.load({**given, "wall": {"type": "sphere", "bsdf": {"type": "pplastic"}}}).shapes()) == 1
     assert not payload.mark.exists()
     assert "no folder" in refusal(lambda: mistray.load({"a": {"type": "resources", "path": "nowhere"}}))
 
@@ -151,9 +150,8 @@ def test_what_lies_in_the_folder_does_not_take_the_place_of_mitsubas_own(payload
 
 def test_the_list_is_mitsubas() -> None:
     """Every plugin of Mitsuba stands in the list, by its kind, but the one that reads memory at any address."""
-    folder = Path(import_mitsuba().__file__).parent / "plugins"
     found: dict[str, set[str]] = {}
-    for file in folder.glob(f"*{SUFFIX}"):
+    for file in (Path(import_mitsuba().__file__).parent / "plugins").glob(f"*{SUFFIX}"):
         kind = mi.PluginManager.instance().plugin_type(file.stem).name
         found.setdefault(KINDS.get(kind, kind.lower()), set()).add(file.stem)
     found["shape"].remove("blender")
@@ -172,9 +170,7 @@ PARTS = {"surface": "{type: Plane}", "obscuration": "{type: ClearCircle, radius:
 
 
 @pytest.mark.parametrize("part", ["surface", "obscuration", "medium", "sum", "negation", "optic"])
-def test_a_batoid_file_evaluates_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any, part: str
-) -> None:
+def test_a_batoid_file_evaluates_nothing(tmp_path: Path, capsys: Captured, monkeypatch: Any, part: str) -> None:
     pytest.importorskip("batoid")
     mark, lens = tmp_path / "mark", tmp_path / "lens.yaml"
     evil = f"""{{type: "__import__('pathlib').Path('{mark}').touch() or Plane"}}"""
@@ -261,7 +257,6 @@ def test_nothing_evaluates_or_unpickles() -> None:
 PATIENCE_S = 5  # of a reader, by the clock of the processor, which does not run while others have it
 WAITING_S = 60  # until one that uses no time of it waits for ever
 
-SCENE = '<scene version="3.0.0">{}</scene>'
 SPHERE = '<shape type="sphere" id="wall">{}</shape>'
 
 
@@ -277,7 +272,7 @@ def with_glasses(read: Callable[..., Any], ending: str, text: str) -> Callable[[
 def scene(body: str) -> Callable[[Path], Any]:
     def load(file: Path) -> Any:
         path = file.with_name("scene.xml")
-        path.write_text(SCENE.format(body.format(file=file.name)))
+        path.write_text(f'<scene version="3.0.0">{body.format(file=file.name)}</scene>')
         return mistray.load(path)
 
     return load
@@ -373,9 +368,7 @@ def patience() -> Iterator[None]:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 @pytest.mark.parametrize("kind", FILES_OF)
 @pytest.mark.parametrize("name", READERS)
-def test_what_is_no_such_file_is_named_at_once(
-    tmp_path: Path, monkeypatch: Any, patience: None, name: str, kind: str
-) -> None:
+def test_no_such_file_is_named_at_once(tmp_path: Path, monkeypatch: Any, patience: None, name: str, kind: str) -> None:
     ending, read = READERS[name]
     if ending in LIBRARIES or name == "mechanics:read_mechanics .ply":
         pytest.importorskip(LIBRARIES.get(ending, "trimesh"))

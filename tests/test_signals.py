@@ -96,8 +96,7 @@ def test_while_the_package_is_imported(tmp_path: Path) -> None:
 @pytest.mark.parametrize("apart_s", [0.02, 0.2, 0.3, 0.4])
 def test_a_second_signal_ends_at_once(apart_s: float, tmp_path: Path) -> None:
     """Also while libraries are imported, a kernel is compiled, or Python shuts down."""
-    place = write(tmp_path, plates_text(15))
-    command = [*MISTRAY, "ghosts", str(place), "--rays", "1e9"]
+    command = [*MISTRAY, "ghosts", str(write(tmp_path, plates_text(15))), "--rays", "1e9"]
     process = Popen(command, stdout=DEVNULL, stderr=PIPE, text=True)
     modules = Path(f"/proc/{worker(process)}/maps")
     while "mitsuba" not in modules.read_text() and process.poll() is None:

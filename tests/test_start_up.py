@@ -60,9 +60,8 @@ def test_the_list_of_commands_needs_no_request(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("byte_code")
 def test_the_package_is_fast() -> None:
     run(sys.executable, "-c", "import mistray")
-    package, bare = (
-        min(run(sys.executable, "-c", code)[1] for _ in range(REPEATS)) for code in ("import mistray", BARE)
-    )
+    programs = "import mistray", BARE
+    package, bare = (min(run(sys.executable, "-c", code)[1] for _ in range(REPEATS)) for code in programs)
     assert package < OF_MITSUBA * bare
 
 

@@ -19,7 +19,6 @@ import mistray
 
 ROOT = Path(__file__).parents[1]
 pytestmark = pytest.mark.quick
-Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def test_quick_tests_know_every_room() -> None:
@@ -39,16 +38,13 @@ def test_quick_tests_know_every_room() -> None:
 
 
 def test_the_continuous_integration_calls_the_command_of_the_readme() -> None:
-    lines = (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
-    assert "make test" in lines
+    assert "make test" in (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
     assert "make test\n" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 class TestParts:
     def test_together_they_are_the_tier_and_files_stay_together(self) -> None:
-        tier = {
-            file: {name: s for name, s in of.items() if s > tiers.AT_ONCE_S} for file, of in tiers.recorded().items()
-        }
+        tier = {file: {n: s for n, s in of.items() if s > tiers.AT_ONCE_S} for file, of in tiers.recorded().items()}
         cut = tiers.parts(tier)
         every = [place for part in cut for place in part]
         assert sorted(every) == sorted((file, name) for file, names in tier.items() for name in names)
@@ -111,7 +107,7 @@ def pieces(path: Path) -> Iterator[str]:
         members = node.body if isinstance(node, ast.ClassDef) else [node]
         owner = f"{node.name}." if isinstance(node, ast.ClassDef) else ""
         for member in members:
-            if isinstance(member, Function) and member.name.startswith("test"):
+            if isinstance(member, ast.FunctionDef | ast.AsyncFunctionDef) and member.name.startswith("test"):
                 found = whole | marks(member) | (marks(node) if owner else set())
                 if found & {"long", "slow", "gpu"} or tiers.takes_long(file, owner + member.name, "core" in found):
                     continue
@@ -149,11 +145,6 @@ class TestEverythingIsTested:
     def test_functions(self) -> None:
         packages = {f"mistray.{each.name}" for each in pkgutil.iter_modules(mistray.__path__) if each.ispkg}
         modules = map(importlib.import_module, packages.union(stubs.packages()))
-        names = {
-            name
-            for module in modules
-            for name in getattr(module, "__all__", ())
-            if inspect.isfunction(getattr(module, name))
-        }
+        names = {n for m in modules for n in getattr(m, "__all__", ()) if inspect.isfunction(getattr(m, n))}
         assert len(names) > 100
         assert names - set(re.findall(r"\w+", sources())) == set()

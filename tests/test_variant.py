@@ -15,18 +15,12 @@ from refusals import refused
 
 from mistray import _libatomic, _llvm, _mitsuba_compat, _variant
 
-ROOT = Path(__file__).parents[1]
-
 
 def run_python(code: str, *arguments: str, **environment: str | None) -> subprocess.CompletedProcess[str]:
     variables = {**os.environ, "MISTRAY_VARIANT": None, "DRJIT_LIBLLVM_PATH": None, **environment}
-    return subprocess.run(
-        [sys.executable, "-c", dedent(code), *arguments],
-        env={key: value for key, value in variables.items() if value is not None},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    known = {key: value for key, value in variables.items() if value is not None}
+    command = [sys.executable, "-c", dedent(code), *arguments]
+    return subprocess.run(command, env=known, capture_output=True, text=True, timeout=120)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +91,7 @@ def test_mitsuba_that_cannot_be_imported(tmp_path, module, remedy):
 
 
 def test_every_plugin_file_is_found_and_named_after_its_plugin():
-    files = [file for file in ROOT.glob("plugins/*/*.py") if file.stem != "__init__"]
+    files = [file for file in Path(__file__).parents[1].glob("plugins/*/*.py") if file.stem != "__init__"]
     assert set(_variant.plugin_modules()) == {f"mistray.plugins.{file.parent.name}.{file.stem}" for file in files}
     for file in files:
         names = re.findall(r'^ *mi\.register_\w+\(\s*"(\w+)"', file.read_text(), re.MULTILINE)
@@ -120,11 +114,8 @@ def test_other_variants_have_no_plugins():
         print(caught[0].message)
         """
     )
-    message = (
-        "mistray: no plugins in variant 'scalar_rgb', the ray tree needs a JIT variant; "
-        "call mi.set_variant('llvm_ad_rgb')"
-    )
-    assert run.stdout == f"llvm_ad_rgb True 25.0\n{message}\n", run.stderr
+    message = "mistray: no plugins in variant 'scalar_rgb', the ray tree needs a JIT variant; call mi.set_variant"
+    assert run.stdout == f"llvm_ad_rgb True 25.0\n{message}('llvm_ad_rgb')\n", run.stderr
 
 
 @pytest.mark.long
@@ -246,9 +237,8 @@ def test_a_given_library_that_is_no_good(monkeypatch, tmp_path):
 def test_the_wheel_comes_before_the_system(installed, monkeypatch):
     """Unless it is newer than what was tried; the variable comes before both."""
     wheel, system = str(installed / "libLLVM.so.23.1"), "/c/libLLVM.so.22.1"
-    versions = {wheel: (23, 1, 4), system: (22, 1, 0)}
     monkeypatch.setattr(_llvm, "_libraries", lambda: [system])
-    monkeypatch.setattr(_llvm, "_loaded_version", versions.get)
+    monkeypatch.setattr(_llvm, "_loaded_version", {wheel: (23, 1, 4), system: (22, 1, 0)}.get)
     needed = tuple(str(installed / name) for name in OF_WHEEL[:-1])
     assert _llvm.find_llvm() == _llvm.Llvm(wheel, (23, 1, 4), needed)
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", system)

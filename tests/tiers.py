@@ -1,5 +1,4 @@
-"""
-Tiers of the tests: what `make test` runs, and the parts of the rest.
+"""Tiers of the tests: what `make test` runs, and the parts of the rest.
 
 A record says how long each test function takes. `make test` leaves out those that take longer than `AT_ONCE_S`, unless
 they are marked `core`, and all that are marked `long` or `slow`. What it leaves out, but for `slow` and `gpu`, is the
@@ -40,8 +39,7 @@ def recorded() -> Seconds:
 def place(item: pytest.Item) -> tuple[str, str]:
     """File, below tests, and function of a test; a method is "Class.method"."""
     file = item.path.relative_to(RECORD.parent).as_posix()
-    names = item.nodeid.partition("::")[2].partition("[")[0]
-    return file, names.replace("::", ".")
+    return file, item.nodeid.partition("::")[2].partition("[")[0].replace("::", ".")
 
 
 def seconds_of(file: str, function: str) -> float:
@@ -61,19 +59,10 @@ def mark_long(item: pytest.Item) -> None:
 
 
 def parts(tier: Mapping[str, Mapping[str, float]]) -> list[set[tuple[str, str]]]:
-    """
-    The long tier, cut into as few parts as hold it.
+    """The long tier (file → function → seconds), cut into as few parts, sets of (file, function), as hold it.
 
-    Parameters
-    ----------
-    tier : mapping
-        File → function → seconds.
-
-    Returns
-    -------
-    list of set of (file, function)
-        A file is in one part, so that what its tests share is made once, unless it takes half a part or more: two
-        processes share a part by files.
+    A file is in one part, so that what its tests share is made once, unless it takes half a part or more: two processes
+    share a part by files.
     """
     units: list[tuple[float, str, tuple[str, ...]]] = []
     for file, functions in tier.items():
@@ -97,14 +86,7 @@ def parts(tier: Mapping[str, Mapping[str, float]]) -> list[set[tuple[str, str]]]
 
 
 def chosen_part(count: int) -> int:
-    """
-    Index of the part that `MISTRAY_PART` names: a whole number, modulo the count.
-
-    Raises
-    ------
-    pytest.UsageError
-        If it is none.
-    """
+    """Index of the part that `MISTRAY_PART` names: a whole number, modulo the count."""
     text = os.environ[PART]
     if not text.isdecimal():
         raise pytest.UsageError(f"{PART} is '{text}'; give a whole number, such as 0 for the first part")

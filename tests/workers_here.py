@@ -26,8 +26,7 @@ class Here:
 
     @contextlib.contextmanager
     def job(self, task: Any) -> Iterator[_Job]:
-        parcel = Parcel.of(task)
-        yield _Job(self, parcel)
+        yield _Job(self, Parcel.of(task))
 
 
 class _Job:

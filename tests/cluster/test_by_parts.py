@@ -294,13 +294,8 @@ def test_scenes_from_dicts_travel_with_their_frames():
     place, further = mi.ScalarTransform4f().translate([0.1, 0, 1]), mi.ScalarTransform4d().translate([0.1, 0, 1.1])
     bsdf = {"type": "interface", "front": "air", "back": "1.5"}
     plate = {"type": "asphere", "id": "front", "semi_diameter": 2.0, "to_world": place, "bsdf": bsdf}
-    scene = mistray.load(
-        {
-            "type": "scene",
-            "plate": plate,
-            "rear": plate | {"id": "rear", "to_world": further, "bsdf": {"type": "interface", "front": "1.5"}},
-        }
-    )
+    rear = plate | {"id": "rear", "to_world": further, "bsdf": {"type": "interface", "front": "1.5"}}
+    scene = mistray.load({"type": "scene", "plate": plate, "rear": rear})
     parcel = Parcel.of(Power(scene))
     _, made = Unpacked().task(parcel.task, parcel.digest, parcel.scenes)
     for key, value in read_numbers(scene).items():
@@ -421,10 +416,8 @@ def cluster(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def all_clients_are_closed():
-    """
-    One that is not would close itself whenever the garbage collection finds it. That can be while the next one starts,
-    and then both wait for ever for the same lock.
-    """
+    """One that is not closes itself when the garbage collection finds it: perhaps while the next one starts, and then
+    both wait for ever for the same lock."""
     yield
     clients = [one for one in gc.get_objects() if isinstance(one, distributed.Client)]
     assert {client.status for client in clients} <= {"closed"}
@@ -445,10 +438,7 @@ def alone(scene):
 
 def test_a_worker_of_another_version_is_refused(cluster, scene, monkeypatch):
     monkeypatch.setattr("mistray.cluster.travel.surroundings", lambda: {"mistray": "9.9", "variant": "llvm_ad_rgb"})
-    with (
-        pytest.raises(MistrayError, match=r"has mistray .*, and 9.9 is used here"),
-        mistray.distribute(cluster.address),
-    ):
+    with pytest.raises(MistrayError, match=r"has mistray .*, and 9.9 is used"), mistray.distribute(cluster.address):
         mistray.trace(scene, rays=1000)
 
 

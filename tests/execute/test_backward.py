@@ -165,8 +165,7 @@ class TestPasses:
 
 
 def lens_text(radius: float = 30.0, reflectance: float = 0.02, b: float = 1e-3, index: str = "1.5") -> str:
-    rough = bsdf_xml("abg", A=1e-4, B=b, g=2.0)
-    front = scattering_xml([rough], "air", index, R=reflectance, T=0.95)
+    front = scattering_xml([bsdf_xml("abg", A=1e-4, B=b, g=2.0)], "air", index, R=reflectance, T=0.95)
     return scatter_scene(
         beam_xml(2.0),
         placed_xml("asphere", "front", front, radius=radius, semi_diameter=4.0),
@@ -280,8 +279,7 @@ def test_a_time_budget_ends_with_a_sample_of_all_rays(plates: Any, small_launche
     assert any("of 6e+04 rays" in note for note in part.notes)
     assert abs(part.energy.closure) < 1e-6
     assert part.energy.launched_W == pytest.approx(whole.energy.launched_W, rel=1e-12)
-    started = part.runs[0].started
-    assert np.ptp(started) <= 3 * 64
+    assert np.ptp(part.runs[0].started) <= 3 * 64
     for ours, all_of_it in zip(part.surfaces, whole.surfaces, strict=True):
         spread = np.hypot(ours.absorbed_se_W, all_of_it.absorbed_se_W)
         assert abs(ours.absorbed_W - all_of_it.absorbed_W) <= 5 * spread + 1e-9
@@ -343,5 +341,4 @@ def test_mirrors_that_shut_light_in_end(tmp_path: Path) -> None:
     mirror = interface_xml(R=1.0, mirror=True)
     walls = [shape_xml("asphere", f"m{k}", 10.0 * k, mirror, semi_diameter=5.0) for k in (1, 2)]
     text = scene_text(*walls, shape_xml("asphere", "detector", 30.0, sensor=True, semi_diameter=1.0))
-    t = mistray.trace(mistray.load(write(tmp_path, text)), rays=100)
-    assert abs(t.energy.closure) < 1e-6
+    assert abs(mistray.trace(mistray.load(write(tmp_path, text)), rays=100).energy.closure) < 1e-6

@@ -46,9 +46,8 @@ PROGRAM = """
 
 def traced(rays: int) -> dict:
     """The trace in a process of its own, with the peak of its memory."""
-    run = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(PROGRAM), str(rays)], capture_output=True, text=True, timeout=600
-    )
+    command = [sys.executable, "-c", textwrap.dedent(PROGRAM), str(rays)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout.splitlines()[-1])
 
@@ -61,12 +60,10 @@ def test_a_hundred_million_rays() -> None:
     assert many["segments"] == 800_000_000
     for what in ("detected", "escaped"):
         assert many[what] == pytest.approx(few[what], rel=1e-12)
-    expected = closed_forms.plate_orders(0.04, 2).sum()
-    assert many["detected"] / many["launched"] == pytest.approx(expected, rel=1e-7)
+    assert many["detected"] / many["launched"] == pytest.approx(closed_forms.plate_orders(0.04, 2).sum(), rel=1e-7)
     assert abs(many["closure"]) < 1e-7
     assert many["se"] < 1e-9 * many["detected"]
-    pixel = (20 / 64) ** 2
-    assert many["map"] * pixel == pytest.approx(many["detected"], rel=1e-12)
+    assert many["map"] * (20 / 64) ** 2 == pytest.approx(many["detected"], rel=1e-12)
     # second moments too: a uniform disc of radius 5 mm, within 4 standard errors
     assert many["rms"] == pytest.approx(5 / 2**0.5, abs=4 * many["rms_se"])
     assert many["rms_se"] < 1e-3
@@ -158,5 +155,4 @@ def test_seconds_are_those_of_the_device(monkeypatch: pytest.MonkeyPatch) -> Non
         slow(*arguments)
 
     monkeypatch.setattr(launching, "trace_tree", trace_tree)
-    found = mistray.trace(mistray.load("cooke_triplet"), rays=100)
-    assert 0 < found.seconds < 0.5
+    assert 0 < mistray.trace(mistray.load("cooke_triplet"), rays=100).seconds < 0.5

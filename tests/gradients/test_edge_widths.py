@@ -118,8 +118,7 @@ class TestGradient:
             for _ in range(2):
                 dr.enable_grad(params["plate.r0"])
                 params.update()
-                image = mi.render(scene, params, integrator=integrator)
-                dr.backward(dr.sum(image.array))
+                dr.backward(dr.sum(mi.render(scene, params, integrator=integrator).array))
                 widths.append(integrator.edge_width)
             assert widths[0] == widths[1] == given.get("edge_width", widths[0])
             assert f"edge_width = {widths[0]}" in str(integrator)

@@ -59,10 +59,9 @@ def check(what: str, found: np.ndarray, expected: float, expected_se: float = 0.
 
 
 STEP = 1e-5  # mm or 1/mm, of central differences of the oracle
-Load = Callable[[str], Any]
 
 
-def traced(load: Load, text: str, keys: list[str], **arguments: Any) -> Parts:
+def traced(load: Callable[[str], Any], text: str, keys: list[str], **arguments: Any) -> Parts:
     """Derivatives of the detected power, W, by some numbers of a scene."""
     return power_parts(load(text), keys, edge_width=0.04, **arguments)
 
@@ -76,34 +75,23 @@ SINE, COSINE = np.sin(np.radians(40.0)), np.cos(np.radians(40.0))
 HALF_PASSES = interface_xml(R=0.0, T=0.5)
 # Shapes, and derivatives of the detected power in a beam of radius 5 mm and 1 W/mm²
 STOPS: dict[str, tuple[list[str], dict[str, float]]] = {
-    "hole": (
-        [shape_xml("frustum", "stop", 5.0, r0=3.0, z0=0.0, r1=8.0, z1=0.0), detector(10.0)],
-        {"stop.r0": 6 * np.pi, "stop.x": 0.0, "stop.z": 0.0},
-    ),
+    "hole": ([shape_xml("frustum", "stop", 5.0, r0=3.0, z0=0.0, r1=8.0, z1=0.0), detector(10.0)],
+             {"stop.r0": 6 * np.pi, "stop.x": 0.0, "stop.z": 0.0}),
     # 4 mm off the axis: the circles cross 3 mm off their line
-    "decentred": (
-        [placed_xml("frustum", "stop", at=(4.0, 0.0, 5.0), r0=3.0, z0=0.0, r1=12.0, z1=0.0), detector(10.0)],
-        {"stop.x": -6.0},
-    ),
+    "decentred": ([placed_xml("frustum", "stop", at=(4.0, 0.0, 5.0), r0=3.0, z0=0.0, r1=12.0, z1=0.0), detector(10.0)],
+                  {"stop.x": -6.0}),
     "tilted": (
         [placed_xml("frustum", "stop", at=(0.0, 0.0, 8.0), facing=(0.0, -SINE, COSINE), r0=3.0, z0=0.0, r1=8.0, z1=0.0),
-         detector(20.0)],
-        {"stop.tilt_x": -np.pi * 9.0 * SINE * np.pi / 180, "stop.r0": 6 * np.pi * COSINE},
-    ),
+         detector(20.0)], {"stop.tilt_x": -np.pi * 9.0 * SINE * np.pi / 180, "stop.r0": 6 * np.pi * COSINE}),
     # Light that misses the filter is detected whole
     "passes half": (
         [shape_xml("asphere", "plate", 5.0, HALF_PASSES, semi_diameter=3.0, inner_semi_diameter=1.0), detector(10.0)],
-        {"plate.semi_diameter": -3 * np.pi, "plate.inner_semi_diameter": np.pi},
-    ),
-    "rectangle": (
-        [shape_xml("asphere", "detector", 5.0, sensor=True, half_width=3.0, half_height=1.0, curvature=0.02)],
-        {"detector.half_width": 4.0, "detector.half_height": 12.0},
-    ),
+        {"plate.semi_diameter": -3 * np.pi, "plate.inner_semi_diameter": np.pi}),
+    "rectangle": ([shape_xml("asphere", "detector", 5.0, sensor=True, half_width=3.0, half_height=1.0, curvature=0.02)],
+                  {"detector.half_width": 4.0, "detector.half_height": 12.0}),
     # A cone that ends in a hole: where it begins and how long it is does not matter
-    "funnel": (
-        [shape_xml("frustum", "funnel", 5.0, r0=6.0, z0=0.0, r1=2.0, z1=7.0), detector(20.0)],
-        {"funnel.r1": 4 * np.pi, "funnel.r0": 0.0, "funnel.z1": 0.0},
-    ),
+    "funnel": ([shape_xml("frustum", "funnel", 5.0, r0=6.0, z0=0.0, r1=2.0, z1=7.0), detector(20.0)],
+               {"funnel.r1": 4 * np.pi, "funnel.r0": 0.0, "funnel.z1": 0.0}),
 }  # fmt: skip
 
 
@@ -193,15 +181,8 @@ class TestCorners:
     def test_part_of_a_side_and_a_touching_circle(self, load_scene) -> None:
         """A half mirror stands on a part of a black square's side; both move, and only the square's width counts."""
         large = shape_xml("asphere", "large", 5.0, half_width=4.0, half_height=4.0)
-        small = placed_xml(
-            "asphere",
-            "small",
-            HALF_PASSES,
-            at=(0.5, -4.0, 7.0),
-            facing=(0.0, -1.0, 0.0),
-            half_width=2.0,
-            half_height=2.0,
-        )
+        size: dict[str, Any] = {"half_width": 2.0, "half_height": 2.0}
+        small = placed_xml("asphere", "small", HALF_PASSES, at=(0.5, -4.0, 7.0), facing=(0.0, -1.0, 0.0), **size)
         text = scene_text(large, small, detector(12.0), radius=9.0)
         found = traced(load_scene, text, ["large.half_height", "small.z"], field_deg=20.0, rays=1_000_000)
         check("sides", sum(found.values()), -np.cos(self.FIELD) * 16.0)
@@ -307,8 +288,7 @@ class TestAgainstTheLight:
 
 
 def integral_along_the_rim(samples: int) -> list[tuple[float, float]]:
-    """
-    Derivatives of what leaves after one scatter event by the radius of the hole and its place, in float64 NumPy.
+    """Derivatives of what leaves after one scatter event by the radius of the hole and its place, in float64 NumPy.
 
     At a point of the rim, which is the same all along it, the radiance that comes from the detector's side is either
     the detector's own, 1/(π A), and the light is scattered by the tube beyond the vane; or the tube's behind the vane,
@@ -393,17 +373,15 @@ def test_profile_of_a_shell(load_scene, coefficient: float) -> None:
 
     h = 1e-6
     slope = (area(c + h, k, coefficient) - area(c - h, k, coefficient)) / (2 * h)
-    found = power_parts(scene, ["shell.curvature"], rays=1_000_000, seed=3)
-    check("curvature", found["shell.curvature"], -slope)
+    check("curvature", power_parts(scene, ["shell.curvature"], rays=1_000_000, seed=3)["shell.curvature"], -slope)
 
 
 @pytest.mark.quick
 def test_outline_of_a_filter(load_scene) -> None:
     """A bowl with an ideal coating, oblique to the beam: rays inside of its outline pass it twice, each time with T."""
-    glass = interface_xml(R=0.1, T=0.7)
     tilt = np.radians(75.0)
     bowl = placed_xml(
-        "asphere", "bowl", glass, at=(0.0, 0.0, 10.0), facing=(np.sin(tilt), 0.0, np.cos(tilt)),
+        "asphere", "bowl", interface_xml(R=0.1, T=0.7), at=(0.0, 0.0, 10.0), facing=(np.sin(tilt), 0.0, np.cos(tilt)),
         curvature=0.3, semi_diameter=3.0,
     )  # fmt: skip
     scene = load_scene(scene_text(bowl, detector(20.0, 40.0), radius=BEAM))

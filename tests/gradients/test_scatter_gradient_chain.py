@@ -116,9 +116,7 @@ def all_rays(form: Form, backward: bool) -> list[Rays]:
     # Tables of directions are uniform in the cosine of incidence, and so coarse near the normal: 2 % of the slope there
     least = 0.25 if is_tabled(form) else 0.05
     every = [Rays(reflect, front, least) for reflect in (False, True) for front in (False, True)]
-    return [
-        r for r in every if form.scatters(r.reflect, r.from_front if r.reflect or not backward else not r.from_front)
-    ]
+    return [r for r in every if form.scatters(r.reflect, r.from_front != (backward and not r.reflect))]
 
 
 def by_values(table: SurfaceTable, backward: bool, form: Form, rays: list[Rays]) -> dict[str, dict[Rays, np.ndarray]]:
@@ -128,9 +126,7 @@ def by_values(table: SurfaceTable, backward: bool, form: Form, rays: list[Rays])
     for some in rays:
         dr.backward(dr.sum(replay.log_flux(some.event(table), some.direction, mi.Bool(True))))
     found = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name in differentiable(form))
-    parts = {
-        some: slice(first, first + RAYS) for some in rays for first in [RAYS * (2 * some.reflect + some.from_front)]
-    }
+    parts = {r: slice(first, first + RAYS) for r in rays for first in [RAYS * (2 * r.reflect + r.from_front)]}
     return {name: {some: gradient[part, 0] for some, part in parts.items()} for _, name, gradient in found}
 
 
@@ -313,8 +309,7 @@ class TestPlugins:
         scattering, rays = scattering_of(table, False), Rays(True, True, 0.05)
         replay = ScatterReplay(scattering)
         for face in faces:
-            event = rays.event(table, face=face)
-            dr.backward(dr.sum(replay.log_flux(event, rays.direction, mi.Bool(True))))
+            dr.backward(dr.sum(replay.log_flux(rays.event(table, face=face), rays.direction, mi.Bool(True))))
         found = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name == "A")
         return [self.ABG.values["A"] * float(gradient.sum()) for _, _, gradient in found]
 
@@ -329,18 +324,14 @@ class TestPlugins:
             assert self.by_amplitude(table, *faces) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "values", "reason"), vectors.toml("refusals.toml")["values without derivative"]
-)
-def test_values_without_derivative(
-    load_scene: Load, kind: str, name: str, values: dict[str, float], reason: str
-) -> None:
+@pytest.mark.parametrize(("kind", "name", "values", "why"), vectors.toml("refusals.toml")["values without derivative"])
+def test_values_without_derivative(load_scene: Load, kind: str, name: str, values: dict[str, float], why: str) -> None:
     table = table_of(load_scene, bsdf_xml(kind, **values))
     (plugin,) = table.optics.bsdfs[table.ids.index("face")].scatterers
-    assert fixed(plugin, name) == reason
+    assert fixed(plugin, name) == why
     scattering = scattering_of(table, False)
     derivatives = ScatterReplay(scattering).derivatives() if scattering.any else {}
-    with pytest.raises(MistrayError, match=f"{reason}, where it has no derivative"):
+    with pytest.raises(MistrayError, match=f"{why}, where it has no derivative"):
         list(scatter_gradient(table, scattering, derivatives, lambda _, key: key == name))
     assert all(fixed(plugin, other) is None for other in values if other in plugin.values and other != name)
 
@@ -364,15 +355,13 @@ def test_ends_of_ranges_and_rays_that_do_not_matter(load_scene: Load) -> None:
         value = replay.log_flux(event, rays.direction, active) + replay.log_kept(event, active)
         dr.backward(dr.sum(value + replay.absorbed(event, active)))
         assert np.all(np.array(value)[-2:] == 0)
-        found = replay.derivatives()
-        assert all(np.all(np.isfinite(values)) for values in found.values())
+        assert all(np.all(np.isfinite(values)) for values in replay.derivatives().values())
 
 
 @pytest.mark.parametrize("name", ["ghs", "rayleigh_rice_vector", "ghs_full", "particulate"])
 def test_directions_without_azimuth_or_slope(load_scene: Load, name: str) -> None:
     """Normal incidence, the specular direction itself, and the plane of incidence: derivatives are finite numbers."""
-    form = FORMS[name]
-    table = table_of(load_scene, model_xml(form))
+    table = table_of(load_scene, model_xml(FORMS[name]))
     for backward in (False, True):
         replay, rays = ScatterReplay(scattering_of(table, backward)), Rays(True, True, 0.05)
         angle = np.array([0.0, 0.0, 0.0, 0.3, 0.3, 0.3, 0.3, 0.3])

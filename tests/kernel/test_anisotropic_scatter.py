@@ -124,9 +124,8 @@ class TestClosedForms:
         """On a turned plate the axis points away from the middle, here to a spot aside."""
         turned = two_fold | {"sample_axis": "meridian", "rotation_deg": 15.0}
         at = np.array([3.0, 1.5, 0.0])
-        seen = towards(40.0, 100.0)
         beside = PLATE | {"to_world": T().translate((-at).tolist())}
-        found, se = power(scene(turned, seen, plate=beside), rays=2_000, max_reflections=0)
+        found, se = power(scene(turned, towards(40.0, 100.0), plate=beside), rays=2_000, max_reflections=0)
         axis = np.degrees(np.arctan2(at[1], at[0])) + 15.0
         exact = small_detector(FLAT + TWO_FOLD * np.cos(2 * np.radians(100.0 - axis)), 40.0)
         assert_z("meridian", found, exact, se, k=4.0, floor=0.01 * exact)

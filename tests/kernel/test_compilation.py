@@ -40,8 +40,7 @@ def scene(
     pixels: int = 8,
     **changed: dict[str, Any],
 ) -> str:
-    """
-    An asphere and a conic with a stop, a painted barrel and a detector.
+    """An asphere and a conic with a stop, a painted barrel and a detector.
 
     `at` and `facing` place the second surface, and `changed` replaces numbers of `ORDINARY`; None leaves one out.
     """
@@ -138,8 +137,7 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Kernels
     def run(text: str, arguments: dict[str, Any]) -> set[str]:
         forget()
         launched.clear()
-        trace = mistray.trace(mistray.load(write(tmp_path, text)), **(TRACE | arguments))
-        assert trace.irradiance.any()
+        assert mistray.trace(mistray.load(write(tmp_path, text)), **(TRACE | arguments)).irradiance.any()
         forget()
         return {str(kernel["hash"]) for kernel in launched if kernel["type"] == dr.KernelType.JIT}
 
@@ -192,10 +190,7 @@ def test_compiles(what: str, kernels: Kernels) -> None:
 
 def edits(rng: random.Random) -> Case:
     """The scene with other numbers, and a trace by another seed, with another number of rays at another angle."""
-    changed = {
-        key: {name: value * rng.uniform(0.97, 0.995) for name, value in values.items()}
-        for key, values in ORDINARY.items()
-    }
+    changed = {key: {n: x * rng.uniform(0.97, 0.995) for n, x in numbers.items()} for key, numbers in ORDINARY.items()}
     edited = scene(
         stack=[(rng.uniform(1.3, 2.2), rng.uniform(50, 150)) for _ in range(rng.randint(1, 5))],
         index=f"{rng.uniform(1.4, 1.9):.6f}",
@@ -235,7 +230,6 @@ def lens_file(rng: random.Random) -> str:
 PROGRAM = """
 import sys
 import mistray
-from mistray.surfaces.upload import download, upload
 from mistray.prescription import from_zemax
 
 path = sys.argv[1]

@@ -68,8 +68,7 @@ def test_however_it_is_sampled(load_scene: Load, settings: dict[str, Any]) -> No
     low, high = 0.01, 0.03
     ring = {"semi_diameter": FAR * math.tan(high), "inner_semi_diameter": FAR * math.tan(low)}
     detector = placed_xml("asphere", "detector", at=(0, 0, FAR), pixels=4, **ring)
-    beam = beam_xml(6.0, power=1.44)
-    scene = load_scene(scatter_scene(beam, ring_xml(5.0, 0.3), stop_xml(5.0, 6.5), detector))
+    scene = load_scene(scatter_scene(beam_xml(6.0, power=1.44), ring_xml(5.0, 0.3), stop_xml(5.0, 6.5), detector))
     found = mistray.trace(scene, rays=2_000_000, scatter_threshold=0.0, seed=3, **settings)
     expected = 0.55e-3 / (math.pi**2 * 5.0) * (1 / math.tan(low) - 1 / math.tan(high))
     value, se = found.energy.detected_W, found.energy.detected_se_W
@@ -96,15 +95,10 @@ class TestPst:
 
     def scene(self, load: Load, width: float) -> Any:
         size = {"half_width": self.HALF, "half_height": self.HALF}
-        return load(
-            scatter_scene(
-                beam_xml(6.0),
-                ring_xml(self.RADIUS, width),
-                stop_xml(self.RADIUS, self.TUBE),
-                placed_xml("frustum", "tube", r0=self.TUBE, z0=0.0, r1=self.TUBE, z1=self.LENGTH + 1),
-                placed_xml("asphere", "detector", at=(0, 0, self.LENGTH), pixels=4, **size),
-            )
-        )
+        tube = placed_xml("frustum", "tube", r0=self.TUBE, z0=0.0, r1=self.TUBE, z1=self.LENGTH + 1)
+        end = placed_xml("asphere", "detector", at=(0, 0, self.LENGTH), pixels=4, **size)
+        ring, stop = ring_xml(self.RADIUS, width), stop_xml(self.RADIUS, self.TUBE)
+        return load(scatter_scene(beam_xml(6.0), ring, stop, tube, end))
 
     def expected(self, angle: float, width: float) -> float:
         """The BSDF in direction cosines, integrated over ring, detector and cell."""

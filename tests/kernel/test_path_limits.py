@@ -153,9 +153,8 @@ class TestHitsInARow:
     def test_integrating_sphere(self, load_scene, splitting: str) -> None:
         """False alarm 3e-7: of the light that a wall sends on, 1 - f meets it again, k times at most; within 5 SE."""
         rho, port, most = 0.9, 0.2, 3
-        scene = load_scene(sphere_text(rho, port))
         limits = {"max_consecutive": most, "max_scatters": 60, "scatter_threshold": 0.0}
-        found = energy(scene, rays=20_000, aim="none", splitting=splitting, **limits)
+        found = energy(load_scene(sphere_text(rho, port)), rays=20_000, aim="none", splitting=splitting, **limits)
         q = rho * (1 - port)
         wall, se = found.absorbed["wall"]
         assert_z("wall", wall / found.launched_W, (1 - rho) * (1 - q**most) / (1 - q), se / found.launched_W, k=5.0)
@@ -174,23 +173,20 @@ class TestLongPaths:
         expected = sum(t * t * r**n for n in range(0, 998, 2))
         assert found.energy.detected_W / found.energy.launched_W == pytest.approx(expected, rel=1e-4)
         assert len(found.paths) == 499
-        default = energy(scene, rays=64, max_reflections=1000)
-        assert default.cut["max_events"] > found.energy.cut["max_events"] > 0
+        assert energy(scene, rays=64, max_reflections=1000).cut["max_events"] > found.energy.cut["max_events"] > 0
 
     def test_more_nodes_wait_than_a_word_has_bits(self, load_scene) -> None:
         """35 plates: at each of 70 surfaces a reflected child waits, and those of the last ones are 140 events long."""
         r, t = 2**-10, 1 - 2**-10  # exact in the kernel
-        scene = load_scene(plates_text(35, "air", R=r, T=t))
-        found = energy(scene, rays=64, max_events=200, max_reflections=1)
+        found = energy(load_scene(plates_text(35, "air", R=r, T=t)), rays=64, max_events=200, max_reflections=1)
         assert found.detected_W / found.launched_W == pytest.approx(t**70, rel=1e-5)
         assert found.escaped_W / found.launched_W == pytest.approx(sum(r * t ** (2 * j) for j in range(70)), rel=1e-5)
         assert found.cut["max_events"] == 0
 
     def test_scatter_events_are_counted_beyond_255(self, load_scene) -> None:
         """A closed white sphere in which 300 events are allowed, and happen to all but the few rays that graze it."""
-        scene = load_scene(sphere_text(1.0, 1e-6))
         settings = {"max_events": 1000, "scatter_threshold": 0.0, "aim": "none", "max_reflections": 0}
-        t = mistray.trace(scene, rays=64, max_scatters=300, ledger=False, **settings)
+        t = mistray.trace(load_scene(sphere_text(1.0, 1e-6)), rays=64, max_scatters=300, ledger=False, **settings)
         assert 64 * 270 < t.segments <= 64 * 301
         assert cut(t.energy, "max_scatters") == pytest.approx(1.0, rel=0.05)
         assert t.energy.cut["max_events"] == 0

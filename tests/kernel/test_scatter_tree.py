@@ -15,7 +15,6 @@ from tiers import slow_unless
 import mistray
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
-WIDE = bsdf_xml("abg", A=0.02, B=0.05, g=2.0)
 ROUGH = bsdf_xml("harvey_shack", b0=0.5, l=0.02, s=-1.5)
 PAINT = bsdf_xml("paint", reflectance=0.05)
 LIMITS = {"single": {"max_scatters": 1, "max_reflections": 1}, "double": {"max_scatters": 2, "max_reflections": 0}}
@@ -31,19 +30,17 @@ MODES: dict[str, dict[str, Any]] = {
 class TestAgainstMonteCarlo:
     """Strongest paths at a joint false alarm of 1e-3, totals within 4.5 standard errors of 32 batches (1e-4 each)."""
 
-    TEXT = scenes.lenses_text(WIDE, wall=scenes.wall_xml(0.3))
+    TEXT = scenes.lenses_text(bsdf_xml("abg", A=0.02, B=0.05, g=2.0), wall=scenes.wall_xml(0.3))
 
     @pytest.fixture(scope="class", params=LIMITS)
     @staticmethod
     def oracle(request: pytest.FixtureRequest) -> tuple[str, scatter.Books]:
         text = TestAgainstMonteCarlo.TEXT
         model = scene_xml.parse_scene(text)
-        distance = beams.start_distance(model, model.emitters[0])
-        beam = beams.collimated(model.emitters[0], 8_000, distance)
+        beam = beams.collimated(model.emitters[0], 8_000, beams.start_distance(model, model.emitters[0]))
         models = scatter.scatter_models(text)
         limits = LIMITS[request.param]
-        books = scatter.trace(model, models, beam.origin, beam.direction, beam.power, 550.0, **limits)
-        return request.param, books
+        return request.param, scatter.trace(model, models, beam.origin, beam.direction, beam.power, 550.0, **limits)
 
     @pytest.mark.parametrize("mode", MODES)
     def test_paths_and_books(self, load_scene, oracle: tuple[str, scatter.Books], mode: str) -> None:
@@ -109,9 +106,8 @@ def test_a_gaussian_has_no_halo(load_scene) -> None:
 
 
 # One branch at every hit is much the same kernel: two scenes show it, all others are slow
-ONE = ("baffle_tube", "phone_camera")
 SPLITTING = [
-    pytest.param(path, how, marks=slow_unless(how == "split" or path.parent.name in ONE))
+    pytest.param(path, how, marks=slow_unless(how == "split" or path.parent.name in ("baffle_tube", "phone_camera")))
     for path in SCENES
     for how in ("split", "one")
 ]
@@ -184,11 +180,9 @@ COUNTED = {
 @pytest.mark.parametrize("limit", COUNTED)
 @pytest.mark.parametrize("most", [0, 1, 2])
 def test_limits(load_scene, limit: str, most: int) -> None:
-    scene = load_scene(window_text(DULL))
     more = {"max_scatters": 3} if limit != "max_scatters" else {}
-    trace = mistray.trace(scene, rays=5_000, max_reflections=2, **{limit: most}, **more)
-    counts = [COUNTED[limit](row) for row in trace.paths]
-    assert max(counts) == most
+    trace = mistray.trace(load_scene(window_text(DULL)), rays=5_000, max_reflections=2, **{limit: most}, **more)
+    assert max(COUNTED[limit](row) for row in trace.paths) == most
     assert abs(trace.energy.closure) < 1e-5
     assert trace.energy.cut["max_generations" if limit == "max_generations" else "max_scatters"] > 0
 
@@ -246,8 +240,6 @@ def test_a_surface_of_fixed_shares_is_unbiased_one_in_one_out(load_scene) -> Non
     face = interface_xml("air", "air", R=0.2, T=0.8, splitting="one")
     front = shape_xml("asphere", "front", 0.0, face, semi_diameter=50.0)
     detector = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=10.0, half_height=10.0)
-    scene = load_scene(scene_text(front, detector))
-    trace = mistray.trace(scene, rays=100_000)
+    trace = mistray.trace(load_scene(scene_text(front, detector)), rays=100_000)
     assert trace.segments == 200_000
-    share = trace.energy.detected_W / trace.energy.launched_W
-    assert abs(z_score(share, 0.8, np.sqrt(0.16 / 100_000))) < z_limit()
+    assert abs(z_score(trace.energy.detected_W / trace.energy.launched_W, 0.8, np.sqrt(0.16 / 100_000))) < z_limit()

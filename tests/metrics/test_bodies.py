@@ -29,21 +29,14 @@ from mistray.surfaces.gradient_columns import GEOMETRY, POSE
 
 def scene() -> Any:
     """A prism, whose faces point to different sides, and a lens that is turned as a whole, with its edge."""
-    lens = moved_as_one(
-        (
-            Surface("front", radius=30.0, semi_diameter=5.0, back="1.5", part="L"),
-            Surface("rear", radius=-30.0, semi_diameter=5.0, z=4.0, front="1.5", part="L"),
-            Structure("edge", 5.0, 0.5, 5.0, 3.5, front="1.5", part="L"),
-        ),
-        z=30.0,
-        tilt_deg=(0.0, 20.0, 0.0),
-    )
+    front = Surface("front", radius=30.0, semi_diameter=5.0, back="1.5", part="L")
+    rear = Surface("rear", radius=-30.0, semi_diameter=5.0, z=4.0, front="1.5", part="L")
+    edge = Structure("edge", 5.0, 0.5, 5.0, 3.5, front="1.5", part="L")
+    *lens, rim = moved_as_one((front, rear, edge), z=30.0, tilt_deg=(0.0, 20.0, 0.0))
     faces = prism("P", [(0, 0), (10, 10), (-10, 10)], 20.0, material="1.5")
-    surfaces = tuple(face for face in (*faces, *lens) if isinstance(face, Surface))
-    return Prescription(
-        name="bodies", surfaces=surfaces, structures=lens[2:], source=Source(radius=5.0),
-        detector=Detector(z=60.0, half_width=9.0, half_height=9.0),
-    ).to_scene()  # fmt: skip
+    detector, light = Detector(z=60.0, half_width=9.0, half_height=9.0), Source(radius=5.0)
+    parts: dict[str, Any] = {"surfaces": (*faces, *lens), "structures": (rim,), "source": light, "detector": detector}
+    return Prescription(name="bodies", **parts).to_scene()
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +70,7 @@ class TestBody:
         body = known[part].about((1.0, -2.0, 3.0))
         amounts = {"x": 0.3, "y": -0.2, "z": 0.7, "tilt_x": 11.0, "tilt_y": -23.0, "tilt_z": 40.0}
         before = frames(here)
-        params = mi.traverse(here)
-        with changed(params, {key: np.array([change]) for key, change in body.moved(amounts).items()}):
+        with changed(mi.traverse(here), {key: np.array([change]) for key, change in body.moved(amounts).items()}):
             after = frames(here)
         turn, to_axes = moved(np.eye(4), 0, 0, 0, 11.0, -23.0, 40.0), np.eye(4)
         to_axes[:3, :3], to_axes[:3, 3] = body.axes, body.pivot
@@ -92,11 +84,9 @@ class TestBody:
         """A lens whose front is decentred and a wedge already."""
         params = mi.traverse(here)
         with changed(params, {"front.x": np.array([0.1]), "front.tilt_y": np.array([3.0])}):
-            body = bodies(parameters(here))["L"]
             before = frames(here)
-            changes = body.tilted((5.0, 0.0, -7.0))
-            values = {key: np.array([change + float(params[key][0])]) for key, change in changes.items()}
-            with changed(params, values):
+            changes = bodies(parameters(here))["L"].tilted((5.0, 0.0, -7.0))
+            with changed(params, {key: np.array([change + float(params[key][0])]) for key, change in changes.items()}):
                 after = frames(here)
         relative = [np.linalg.inv(place["front"]) @ place["rear"] for place in (before, after)]
         np.testing.assert_allclose(relative[1], relative[0], atol=2e-5)
@@ -111,9 +101,8 @@ class TestBody:
             moves = sum(slopes.get(f"{surface}.{name}", 0.0) * column_derivatives(shape, name) for name in POSE)
             frame = np.asarray(shape.vertex_frame(shape.values, shape.matrix))
             to_local = frame[:3, :3].T
-            columns = [GEOMETRY.index(name) for name in POSE]
             expected = [*to_local @ np.cross(axis, frame[:3, 3] - body.pivot), *to_local @ axis]
-            np.testing.assert_allclose(moves[columns], expected, atol=1e-8)
+            np.testing.assert_allclose(moves[[GEOMETRY.index(name) for name in POSE]], expected, atol=1e-8)
 
 
 class TestStudy:
@@ -239,25 +228,22 @@ def test_tubes_and_the_edge_of_a_lens(load: Load) -> None:
     assert opened(scene, flange__z=-0.25) == ()
     # The rim of a sphere lies at its sag, R - √(R² - r²)
     sag = 50 - math.sqrt(50**2 - 8**2)
-    glass = interface_xml("air", "1.5")
     scene = load(
-        shape_xml("asphere", "face", 0.0, glass, radius=50.0, semi_diameter=8.0),
+        shape_xml("asphere", "face", 0.0, interface_xml("air", "1.5"), radius=50.0, semi_diameter=8.0),
         shape_xml("asphere", "back", 6.0, interface_xml("1.5", "air"), semi_diameter=8.0),
         tube("edge", 8, sag, 8, 6),
         tube("barrel", 8, 6, 8, 30),
     )
-    flatter = 40 - math.sqrt(40**2 - 8**2)
     assert opened(scene, face__curvature=1 / 40) == ()  # the rim has moved along the edge
     steeper = sag - (100 - math.sqrt(100**2 - 8**2))
-    assert flatter > sag
+    assert (40 - math.sqrt(40**2 - 8**2)) > sag
     assert only(opened(scene, face__curvature=1 / 100), "face", "edge") == pytest.approx(steeper, rel=1e-5)
     assert opened(scene, back__z=0.4) == ()  # the lens has moved along the barrel
     assert only(opened(scene, barrel__z=0.4), "barrel", "edge") == pytest.approx(0.4, abs=1e-6)
 
 
 def test_straight_rims_of_a_prism() -> None:
-    corners = [(-5.0, 0.0), (5.0, 0.0), (5.0, 10.0), (-5.0, 10.0)]
-    body = prism("body", corners, 8.0, material="1.5", ends=None)
+    body = prism("body", [(-5.0, 0.0), (5.0, 0.0), (5.0, 10.0), (-5.0, 10.0)], 8.0, material="1.5", ends=None)
     detector, source = Detector(z=30.0, semi_diameter=4.0), Source(radius=1.0)
     scene = Prescription(name="prism", surfaces=body, detector=detector, source=source).to_scene()
     contacts = Contacts(scene)
@@ -281,8 +267,7 @@ def mesh(name: str, vertices: list[tuple[float, float, float]], faces: list[tupl
 
 def test_round_rims_of_meshes() -> None:
     """A polygon of 64 sides closes a tube with the same corners, and the tube is drawn away from it by 0.3 mm."""
-    turn = 2 * np.pi * np.arange(64) / 64
-    ring = [(10.0 * math.cos(angle), 10.0 * math.sin(angle)) for angle in turn]
+    ring = [(10.0 * math.cos(angle), 10.0 * math.sin(angle)) for angle in 2 * np.pi * np.arange(64) / 64]
     pairs = [(k, (k + 1) % 64) for k in range(64)]
 
     def scene(lift: float) -> mi.Scene:

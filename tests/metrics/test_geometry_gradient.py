@@ -51,23 +51,18 @@ def triplet() -> Case:
 
 def double_gauss() -> Case:
     """Cemented lenses; without the ghosts of their cement."""
-    return Case(
-        scene_text("double_gauss"), {"rays": 250, "field_deg": 4.0, "seed": 5, **TRACED, "flux_threshold": 2e-3}
-    )
+    return Case(scene_text("double_gauss"), {"rays": 250, "field_deg": 4, "seed": 5, **TRACED, "flux_threshold": 2e-3})
 
 
 def phone_camera() -> Case:
     """Aspheres, ideal coatings, cones and stops that reflect; of its 150 ghosts the strongest."""
-    settings = {"rays": 80, "field_deg": 6.0, "seed": 6, **TRACED, "flux_threshold": 1e-3}
-    return Case(scene_text("phone_camera"), settings)
+    return Case(scene_text("phone_camera"), {"rays": 80, "field_deg": 6.0, "seed": 6, **TRACED, "flux_threshold": 1e-3})
 
 
 def solid() -> Case:
     """A detector cemented to glass that absorbs: each mm takes 2 % of the light."""
     glass = "1.5+1e-6i"
-    front = shape_xml(
-        "asphere", "front", 0.0, interface_xml("air", glass, R=0.2, T=0.7), radius=30.0, semi_diameter=15.0
-    )
+    front = shape_xml("asphere", "front", 0.0, interface_xml("air", glass, R=0.2, T=0.7), radius=30, semi_diameter=15)
     end = interface_xml(glass, "air", R=0.3)
     detector = shape_xml("asphere", "detector", 40.0, end, sensor=True, half_width=20.0, half_height=20.0)
     settings = {"rays": 300, "field_deg": 5.0, "seed": 7, **TRACED, "wavelength_nm": 550.0}
@@ -338,11 +333,7 @@ def test_what_is_left_out_is_named(cases: Callable[[str], Case]) -> None:
 
 
 def test_cleanliness_level() -> None:
-    """
-    Dust, whose random choices change with its level: two traces with other seeds at levels 20 % apart.
-
-    False-alarm probability 1e-3.
-    """
+    """Dust, whose random choices change with its level: two traces, other seeds, 20 % apart; false alarm 1e-3."""
     case = Case(lens((bsdf_xml("particulate", level=400.0),), ()), {**LIMITS, "rays": 20_000, "seed": 5})
     params, key = mi.traverse(case.scene), "front.bsdf.particulate.level"
 
@@ -390,8 +381,7 @@ def case() -> Case:
 @pytest.fixture(scope="module")
 def smooth(case: Case) -> np.ndarray:
     """A smooth function over the pixels."""
-    shape = mistray.trace(case.scene, **COARSE).irradiance.shape
-    y, x = (np.linspace(-1, 1, n) for n in shape)
+    y, x = (np.linspace(-1, 1, n) for n in mistray.trace(case.scene, **COARSE).irradiance.shape)
     return np.cos(3 * x)[None, :] * np.exp(y)[:, None]
 
 
@@ -426,8 +416,7 @@ def test_identity(case: Case, smooth: np.ndarray, kind: str) -> None:
     forward, terms = inner_products(case, keys, smooth)
     scale = np.sqrt(np.sum(terms**2))
     assert abs(forward - terms.sum()) < OF_IDENTITY * scale
-    largest = int(np.argmax(np.abs(terms)))
-    wrong = terms.sum() + 1e-3 * terms[largest]  # one derivative that is 0.1 % too large
+    wrong = terms.sum() + 1e-3 * terms[int(np.argmax(np.abs(terms)))]  # one derivative that is 0.1 % too large
     assert abs(forward - wrong) > OF_IDENTITY * scale
 
 
@@ -446,9 +435,7 @@ def test_render_is_the_gradient(case: Case, smooth: np.ndarray) -> None:
 
 
 WINDOW = small_text(
-    shape_xml(
-        "asphere", "front", 0.0, scattering_xml((ABG,), "air", "1.5", R=0.1, T=0.8), radius=60.0, semi_diameter=9.0
-    ),
+    shape_xml("asphere", "front", 0.0, scattering_xml((ABG,), "air", "1.5", R=0.1, T=0.8), radius=60, semi_diameter=9),
     shape_xml("asphere", "rear", 5.0, scattering_xml((POLISH,), "1.5", "air", R=0.1, T=0.8), semi_diameter=9.0),
     shape_xml("asphere", "detector", 60.0, sensor=True, half_width=10.0, half_height=10.0),
     radius=5.0,
@@ -458,8 +445,7 @@ LIGHT = {"rays": 1000, "max_reflections": 2, "azimuth_deg": 20.0}
 
 def new_kernels() -> int:
     """Kernels that are new to this process since the last call; one found in the disk cache counts too."""
-    entries = dr.kernel_history([dr.KernelType.JIT])
-    return sum(not entry["cache_hit"] or entry["cache_disk"] for entry in entries)
+    return sum(not entry["cache_hit"] or entry["cache_disk"] for entry in dr.kernel_history([dr.KernelType.JIT]))
 
 
 def changing(scene: Any, metric: Metric, keys: list[str], **more: Any) -> list[int]:

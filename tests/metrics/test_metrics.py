@@ -32,15 +32,8 @@ from mistray.metrics.scene_values import changed
 
 FIELDS = (0.0, 4.0)
 TRACED = {"rays": 1500, "max_reflections": 2, "wavelength_nm": (500.0, 600.0)}
-EVERY = {
-    "path_power": path_power,
-    "ghost_to_signal": ghost_to_signal,
-    "peak_irradiance": peak_irradiance,
-    "ghost_rms_irradiance": ghost_rms_irradiance,
-    "ghost_focus": ghost_focus,
-    "rms_spot": rms_spot,
-    "transmission": transmission,
-}
+OF_GHOSTS = (path_power, ghost_to_signal, peak_irradiance, ghost_rms_irradiance, ghost_focus)
+EVERY = {factory.__name__: factory for factory in (*OF_GHOSTS, rms_spot, transmission)}
 GHOST = "front:T rear:R front:R rear:T detector:A"
 # Of one observation of the coated singlet
 FUNCTIONS = {
@@ -143,9 +136,8 @@ class TestNumbers:
         """The figures of the ghost table: all wavelengths of a path together."""
         figures = [ghosts(t).rms_irradiance_W_mm2 for t in traces]
         radii = [ghosts(t).rms_radius_mm for t in traces]
-        events = ghosts(traces[0]).events.iloc[1]
         brightest = ghost_rms_irradiance(scene, field_deg=FIELDS, **TRACED)
-        one = ghost_rms_irradiance(scene, events, **TRACED)
+        one = ghost_rms_irradiance(scene, ghosts(traces[0]).events.iloc[1], **TRACED)
         focus = ghost_focus(scene, field_deg=FIELDS, norm=4.0, **TRACED)
         assert len(figures[0]) > 3
         assert brightest.value() == pytest.approx(np.mean([p_norm(e) for e in figures]), rel=1e-9)
@@ -163,10 +155,9 @@ class TestNumbers:
         w = rays.flux_W / rays.flux_W.sum()  # the detector absorbs the same share of every ray
         # The plane of the detector is that of its own frame but for a shift
         x, y = (rays[name] - w @ rays[name] for name in ("x_mm", "y_mm"))
-        expected = np.sqrt(w @ (x * x + y * y))
         # Places in the kernel are rounded to 6e-8 of up to 2 mm
         spot = rms_spot(scene, field_deg=4.0, **settings)
-        assert spot.value() == pytest.approx(expected, rel=1e-5)
+        assert spot.value() == pytest.approx(np.sqrt(w @ (x * x + y * y)), rel=1e-5)
         assert log(spot).value() == pytest.approx(np.log(spot.value()), rel=1e-12)
         assert log(spot).unit == "1"
 
@@ -248,9 +239,8 @@ def test_errors_over_seeds(scene) -> None:
         for k, metric in enumerate(metrics):
             value = metric.evaluate(observations)
             dr.backward(value)
-            apart = np.sum([o.noise().apart for o in observations], axis=0)
             values[seed, k] = float(dr.detach(value)[0])
-            variances[seed, k] = np.sum(apart**2)
+            variances[seed, k] = np.sum(np.sum([o.noise().apart for o in observations], axis=0) ** 2)
     ratio = values.var(axis=0, ddof=1) / variances.mean(axis=0)
     assert np.all(ratio < 2.7), ratio
     assert np.all(ratio > 0.24), ratio
@@ -284,13 +274,12 @@ class TestCoatings:
         found = mistray.gradient(metric, params, list(self.KEYS)).gradient
         size = metric.value()
         for key in self.KEYS:
-            start = float(params[key][0])
 
             def at(value: float, key: str = key) -> float:
                 with changed(params, {key: np.array([value])}):
                     return metric.value()
 
-            (expected,) = central_differences(at, [start], [self.STEP])
+            (expected,) = central_differences(at, [float(params[key][0])], [self.STEP])
             # Rounding of the fluxes in single precision, 1e-7 relative, over the step
             assert found[key][0] == pytest.approx(expected, rel=1e-3, abs=1e-6 * size / self.STEP), key
 

@@ -51,8 +51,7 @@ def test_more_than_two_errors_and_5_percent() -> None:
     assert found.worst == 0
     assert "number 0" in found.sentence
     draws = np.random.default_rng(5).normal(1.0, 0.1, (2000, 2, 41))
-    alarms = [order(before, after, np.full(41, 0.1)).matters for before, after in draws]
-    assert np.mean(alarms) < 0.06
+    assert np.mean([order(before, after, np.full(41, 0.1)).matters for before, after in draws]) < 0.06
 
 
 def curve(level: float, rays: int = 1000, seed: int = 0) -> Pst:
@@ -129,9 +128,8 @@ def test_a_search(tmp_path: Path, trace: dict[str, int], more: float) -> None:
         shape_xml("asphere", name, z, interface_xml(*sides, R=HALF, T=1 - HALF), semi_diameter=50.0)
         for name, z, sides in (("front", 5.0, ("air", "1.5")), ("rear", 8.0, ("1.5", "air")))
     ]
-    disc = shape_xml("asphere", "disc", 1.0, semi_diameter=0.4)
     detector = shape_xml("asphere", "detector", 20.0, sensor=True, semi_diameter=50.0)
-    scene = write(tmp_path, scene_text(disc, *faces, detector))
+    scene = write(tmp_path, scene_text(shape_xml("asphere", "disc", 1.0, semi_diameter=0.4), *faces, detector))
     study = {
         "trace": {"rays": 400, **trace},
         "term": [{"name": "light", "kind": "path_power", "goal": "minimise", "selection": "all"}],
@@ -199,9 +197,8 @@ BEAM, BLOCK, FARTHEST = 5.0, 2.0, 9.0  # radii, mm
 @pytest.fixture
 def beam(tmp_path: Path) -> Path:
     """A beam with a black disc before a detector: 1 - (r/5)² of the light gets past it, and none from r = 5 on."""
-    disc = shape_xml("asphere", "disc", 5.0, semi_diameter=BLOCK)
     detector = shape_xml("asphere", "detector", 10.0, sensor=True, half_width=BEAM, half_height=BEAM)
-    return write(tmp_path, scene_text(disc, detector, radius=BEAM))
+    return write(tmp_path, scene_text(shape_xml("asphere", "disc", 5.0, semi_diameter=BLOCK), detector, radius=BEAM))
 
 
 def study(*terms: dict[str, Any], method: str = "sqp", **optimizer: Any) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from scene_dicts import BLACK, at, detector, load
 
 import mistray
 from mistray.metrics.parameters import KINDS, groups, match, parameters
@@ -17,41 +18,25 @@ FILM = {"type": "thinfilm", "id": "AR", "layers": "1.38 100, 2.1+0.01i 60", "n_s
 
 def scene(**more: Any) -> mi.Scene:
     place = mi.ScalarTransform4d()
-    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
     glass = {"type": "interface", "back": "1.5", "coating": {"type": "ref", "id": "AR"}}
-    return mistray.load(
-        {
-            "type": "scene",
-            "AR": FILM,
-            "polish": {"type": "harvey_shack", "rms_nm": 4.0, "l": 0.02},
-            "beam": {"type": "collimated", "radius": 3.0},
-            "front": {
-                "type": "asphere", "radius": 20.0, "conic": -0.5, "a4": 1e-5, "semi_diameter": 5.0, "x": 0.1,
-                "bsdf": glass | {"polish": {"type": "ref", "id": "polish"}},
-            },
-            "rear": {
-                "type": "asphere", "semi_diameter": 5.0, "to_world": place.translate([0, 0, 5]),
-                "bsdf": glass | {"front": "1.5", "back": "air"},
-            },
-            "ring": {
-                "type": "frustum", "r0": 5.0, "r1": 8.0, "z0": 7.0, "z1": 7.0,
-                "bsdf": {"type": "interface", "R": 0.05, "wall": {"type": "paint", "reflectance": 0.04}},
-            },
-            "disc": {
-                "type": "frustum", "r0": 2.0, "r1": 0.0, "z0": 8.0, "z1": 8.0,
-                "bsdf": {"type": "interface", "R": 0.6, "T": 0.3},
-            },
-            "tube": {"type": "frustum", "r0": 8.0, "r1": 8.0, "z0": 7.0, "z1": 20.0,
-                     "bsdf": {"type": "interface", "R": 0.0}},
-            "mesh": {"type": "disk", "to_world": place.translate([0, 20, 0]), "bsdf": {"type": "interface", "R": 0.1}},
-            "aim": {"type": "asphere", "semi_diameter": 1.0, "to_world": place.translate([0, 0, 15]),
-                    "bsdf": {"type": "target", "surfaces": "front"}},
-            "detector": {
-                "type": "asphere", "half_width": 4.0, "half_height": 3.0, "to_world": place.translate([0, 0, 20]),
-                "bsdf": {"type": "interface", "R": 0.2}, "meter": {"type": "irradiancemeter", "film": film},
-            },
-            **more,
-        }
+    return load(
+        AR=FILM,
+        polish={"type": "harvey_shack", "rms_nm": 4.0, "l": 0.02},
+        beam={"type": "collimated", "radius": 3.0},
+        front={"type": "asphere", "radius": 20.0, "conic": -0.5, "a4": 1e-5, "semi_diameter": 5.0, "x": 0.1,
+               "bsdf": glass | {"polish": {"type": "ref", "id": "polish"}}},
+        rear={"type": "asphere", "semi_diameter": 5.0, "to_world": at(5),
+              "bsdf": glass | {"front": "1.5", "back": "air"}},
+        ring={"type": "frustum", "r0": 5.0, "r1": 8.0, "z0": 7.0, "z1": 7.0,
+              "bsdf": {"type": "interface", "R": 0.05, "wall": {"type": "paint", "reflectance": 0.04}}},
+        disc={"type": "frustum", "r0": 2.0, "r1": 0.0, "z0": 8.0, "z1": 8.0,
+              "bsdf": {"type": "interface", "R": 0.6, "T": 0.3}},
+        tube={"type": "frustum", "r0": 8.0, "r1": 8.0, "z0": 7.0, "z1": 20.0, "bsdf": BLACK},
+        mesh={"type": "disk", "to_world": place.translate([0, 20, 0]), "bsdf": {"type": "interface", "R": 0.1}},
+        aim={"type": "asphere", "semi_diameter": 1.0, "to_world": at(15),
+             "bsdf": {"type": "target", "surfaces": "front"}},
+        detector=detector(20, half_width=4.0, half_height=3.0, bsdf={"type": "interface", "R": 0.2}),
+        **more,
     )  # fmt: skip
 
 

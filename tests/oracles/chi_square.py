@@ -69,8 +69,7 @@ def p_value(
         offsets = (np.arange(INNER) + 0.5) / INNER
         points_phi = (edges_phi[:-1, None] + offsets * np.diff(edges_phi)[:, None]).ravel()
         points_u = (edges_u[:-1, None] + offsets * np.diff(edges_u)[:, None]).ravel()
-        grid = np.meshgrid(points_phi, points_u, indexing="ij")
-        points, jacobian = chart.directions(*grid)
+        points, jacobian = chart.directions(*np.meshgrid(points_phi, points_u, indexing="ij"))
         flat = points.reshape(-1, 3)
         mine = (jacobian.ravel() > 0) & (_nearest(flat, charts) == number)
         values = np.zeros(len(flat))

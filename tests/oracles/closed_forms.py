@@ -97,9 +97,8 @@ def paraxial_ghosts(
     found = []
     for first in range(1, len(system)):
         for second in range(first):
-            y, u, z, power = trace_paraxial(
-                system, ghost_route(len(surfaces), (first, second)), radius, 0.0, surfaces[0].z
-            )
+            route = ghost_route(len(surfaces), (first, second))
+            y, u, z, power = trace_paraxial(system, route, radius, 0.0, surfaces[0].z)
             found.append(ParaxialGhost(second + 1, first + 1, float(y + u * (detector_z - z)), float(u), float(power)))
     return found
 
@@ -118,8 +117,7 @@ def ghost_sequences(surfaces: int, reflections: int) -> Iterator[tuple[int, ...]
             return
         backward = len(done) % 2 == 0
         lowest = (done[-1] + 1 if done else 0) if backward else 0
-        highest = surfaces if backward else done[-1]
-        for surface in range(lowest, highest):
+        for surface in range(lowest, surfaces if backward else done[-1]):
             yield from extend((*done, surface))
 
     yield from extend(())

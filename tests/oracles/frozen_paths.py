@@ -68,7 +68,8 @@ def follow(scene: FrozenScene, bundle: Bundle, trail: Sequence[State] = ()) -> H
         if step == len(bundle.events) - 1:
             rotation, vertex = scene.pose(shape_id)
             local = (position - vertex) @ rotation
-            taken = flux * _absorbed(scene, shape_id, out)
+            absolute = sum(_total(scene, shape_id, out, kind, True) for kind in ("transmission", "reflection"))
+            taken = flux * np.asarray(1 - out.reflectance - out.transmittance - absolute)
             return Hits(local[:, 0], local[:, 1], taken, flux, np.array(points), states)
         passes = name == "SpecTran" or SCATTERED.get(name) == "transmission"
         if name in SCATTERED:
@@ -106,11 +107,6 @@ def _total(scene: FrozenScene, shape_id: str, out: Interaction, event: str, abso
     cosine = np.abs(np.einsum("ij,ij->i", _specular(out, event)[1], out.normal))
     lobes = _lobes(scene, shape_id, out, event)
     return sum((here * lobe.total(cosine) for lobe, here in lobes if lobe.absolute == absolute), np.zeros(len(cosine)))
-
-
-def _absorbed(scene: FrozenScene, shape_id: str, out: Interaction) -> Array:
-    absolute = sum(_total(scene, shape_id, out, event, True) for event in ("transmission", "reflection"))
-    return np.asarray(1 - out.reflectance - out.transmittance - absolute)
 
 
 def _scattered(scene: FrozenScene, shape_id: str, out: Interaction, event: str, heading: Array) -> Array:

@@ -22,17 +22,14 @@ ORDERS = tuple(range(4, 21, 2))
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 
 
-# Of a scatter model, from its numbers, the wavelength (nm), the index on the side of incidence and on the other
-LobesOf = Callable[[tuple[float, ...], float, float, float], tuple[Lobe, ...]]
-
-
 @dataclass(frozen=True)
 class ScatterModel:
     """A scatter model nested in an interface: key prefix of its numbers, and what makes lobes of them."""
 
     key: str
     names: tuple[str, ...]
-    lobes: LobesOf
+    # From its numbers, the wavelength (nm), the index on the side of incidence and on the other
+    lobes: Callable[[tuple[float, ...], float, float, float], tuple[Lobe, ...]]
 
 
 @dataclass(frozen=True)
@@ -151,9 +148,7 @@ class FrozenScene:
     def _film_powers(
         self, film: Film, n_front: float, n_back: float, from_front: bool, cosine: Array
     ) -> tuple[Array, Array]:
-        thickness, n_shift, k_shift = (
-            self.numbers[f"{film.key}.{name}"] for name in ("thickness_nm", "n_shift", "k_shift")
-        )
+        thickness, n_shift, k_shift = (self.numbers[f"{film.key}.{k}"] for k in ("thickness_nm", "n_shift", "k_shift"))
         n = np.array(film.indices) + n_shift + 1j * k_shift
         front_first = film.first == "front" or (film.first == "outside" and n_front <= n_back)
         if front_first != from_front:

@@ -171,9 +171,7 @@ class Asphere(Surface):
         if not np.isfinite(reach):
             raise ValueError("an asphere needs semi_diameter or half_width and half_height")
         if (1 + self.conic) * (self.curvature * reach) ** 2 > 1:
-            raise ValueError(
-                f"asphere with curvature {self.curvature} and conic {self.conic} ends before r = {reach} mm"
-            )
+            raise ValueError(f"asphere of curvature {self.curvature} and conic {self.conic} ends before r = {reach} mm")
         object.__setattr__(self, "reach", reach)
 
     def sag(self, u: Array) -> Array:
@@ -244,9 +242,8 @@ class Asphere(Surface):
 
     def first_hit(self, origin: Array, direction: Array, leaving: Mask) -> Array:
         if self.curvature == 0 and not self.coefficients:
-            return Plane(self.outer, self.inner, self.half_width, self.half_height).first_hit(
-                origin, direction, leaving
-            )
+            plane = Plane(self.outer, self.inner, self.half_width, self.half_height)
+            return plane.first_hit(origin, direction, leaving)
         start = np.where(leaving, 1e-9 * self.reach, 0.0)
         best = np.full(len(origin), np.inf)
         for low, high in self._domains(origin, direction, start):

@@ -39,13 +39,9 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
         return _cauchy(text, wavelength_nm)
     for name, (b1, b2, b3, c1, c2, c3) in SELLMEIER.items():
         if name.lower() == text.lower():
-            square = (wavelength_nm * 1e-3) ** 2
-            return math.sqrt(
-                1 + b1 * square / (square - c1) + b2 * square / (square - c2) + b3 * square / (square - c3)
-            )
-    raise ValueError(
-        f"oracle glass list has no material {material!r}: add its Sellmeier constants to tests/oracles/glass.py"
-    )
+            w2 = (wavelength_nm * 1e-3) ** 2
+            return math.sqrt(1 + b1 * w2 / (w2 - c1) + b2 * w2 / (w2 - c2) + b3 * w2 / (w2 - c3))
+    raise ValueError(f"oracle glass list has no material {material!r}: add its constants to tests/oracles/glass.py")
 
 
 def _cauchy(text: str, wavelength_nm: float) -> float:

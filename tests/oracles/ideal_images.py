@@ -14,16 +14,7 @@ from .geometry import Array
 
 
 def airy_irradiance(radius: npt.ArrayLike, wavelength_mm: float, f_number: float) -> Array:
-    """
-    Return the irradiance of the Airy pattern for a flux of 1, 1/mm².
-
-    Parameters
-    ----------
-    radius : array_like
-        Distance from the middle, mm.
-    wavelength_mm, f_number : float
-        Wavelength, mm, and working F-number.
-    """
+    """Irradiance of the Airy pattern for a flux of 1, 1/mm², at a distance from the middle, mm; working F-number."""
     x = math.pi * np.asarray(radius, dtype=np.float64) / (wavelength_mm * f_number)
     peak = math.pi / (4 * (wavelength_mm * f_number) ** 2)
     small = np.abs(x) < 1e-8
@@ -48,16 +39,7 @@ def circular_mtf(share: npt.ArrayLike) -> Array:
 
 
 def annular_mtf(share: npt.ArrayLike, obstruction: float) -> Array:
-    """
-    Return the MTF of a circular pupil with an obstruction in its middle, without aberration.
-
-    Parameters
-    ----------
-    share : array_like
-        Frequency in units of the cut-off, ≥ 0.
-    obstruction : float
-        Radius of the obstruction in units of the pupil's radius, 0 … < 1.
-    """
+    """MTF without aberration by share of the cut-off; an obstruction takes less than 1 of the pupil's radius."""
     v, e = np.abs(np.asarray(share, dtype=np.float64)), obstruction
     if e == 0:
         return circular_mtf(v)

@@ -97,8 +97,7 @@ class BaffledLens:
     def _at_lens(self, number: int, d: Array, normal: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Directions behind a face of the lens, and factors of weights; rays go through or back by chance."""
         face = self.model.shapes[number]
-        indices = self.model.indices(face.shape_id, WAVELENGTH_NM)
-        out = interact(face.interface, *indices, WAVELENGTH_NM, d, normal)
+        out = interact(face.interface, *self.model.indices(face.shape_id, WAVELENGTH_NM), WAVELENGTH_NM, d, normal)
         reflect = out.tir | (rng.random(len(d)) < REFLECTED_WALKS)
         chance = np.where(out.tir, 1.0, np.where(reflect, REFLECTED_WALKS, 1 - REFLECTED_WALKS))
         power = np.where(reflect, out.reflectance, out.transmittance)

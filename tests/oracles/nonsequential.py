@@ -198,10 +198,8 @@ def trace(
                 book_leaks(arrived, name, np.abs(index[before] - index[arrived.medium]) > 1e-9)
             taken = 1 - out.reflectance - out.transmittance
             daughters = []  # share, direction, event, medium, by how much order and number of scatters grow
-            for transmits, x, heading in (
-                (True, out.transmittance, out.transmitted),
-                (False, out.reflectance, out.reflected),
-            ):
+            ways = (True, out.transmittance, out.transmitted), (False, out.reflectance, out.reflected)
+            for transmits, x, heading in ways:
                 medium, kept = after if transmits else arrived.medium, np.ones(len(x))
                 for lobe in (lobes or {}).get(name, ()):
                     if transmits != (lobe.event == "transmission"):
@@ -251,9 +249,6 @@ def trace(
         rays = _Rays.join(children) if children else rays.take(np.zeros(len(t), dtype=bool))
         if not len(rays.weight):
             break
-    paths = [
-        PathRecord(listed[node], orders[node], *map(np.concatenate, zip(*parts, strict=True)))
-        for node, parts in hits.items()
-    ]
+    paths = [PathRecord(listed[k], orders[k], *map(np.concatenate, zip(*own, strict=True))) for k, own in hits.items()]
     paths.sort(key=lambda p: -p.power_W)
     return Ledger(float(np.sum(power)), paths, segments, dict(books))

@@ -25,10 +25,7 @@ def open_tube_text(length: float, radius: float, detector_radius: float, wall: s
 
 
 def vane_text(vanes: Sequence[tuple[float, float]], length: float, radius: float, detector_radius: float) -> str:
-    rings = [
-        placed_xml("frustum", f"vane_{k}", r0=radius, z0=z, r1=inner, z1=z)
-        for k, (z, inner) in enumerate(vanes, start=1)
-    ]
+    rings = [placed_xml("frustum", f"vane_{k}", r0=radius, z0=z, r1=r, z1=z) for k, (z, r) in enumerate(vanes, start=1)]
     return open_tube_text(length, radius, detector_radius).replace("</scene>", "".join(rings) + "</scene>")
 
 

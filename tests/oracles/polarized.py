@@ -57,8 +57,7 @@ def transport(directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float)
     helper = np.eye(3)[np.argmin(np.abs(first))]
     a = np.cross(first, helper) / np.linalg.norm(np.cross(first, helper))
     flux, fields = carry(directions, hits, wavelength_nm, starting(first, a, (0.0, 0.0, 0.0)))
-    coherency = sum(np.outer(f, f.conj()) for f in fields)
-    values = np.linalg.eigvalsh(coherency)[::-1]
+    values = np.linalg.eigvalsh(sum(np.outer(f, f.conj()) for f in fields))[::-1]
     return flux, float((values[0] - values[1]) / (values[0] + values[1]))
 
 

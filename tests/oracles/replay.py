@@ -14,13 +14,7 @@ Event = tuple[str, str]
 SPECULAR = {"SpecTran": "T", "SpecRefl": "R", "TIR": "I", "Absorbed": "A"}
 KINDS = {**SPECULAR, "T": "T", "R": "R", "A": "A"}
 LETTERS = {**SPECULAR, "RandTran": "t", "RandRefl": "r", "ImpTran": "i", "ImpRefl": "j"}
-OUTCOMES = (
-    "reached the end",
-    "missed the surface",
-    "blocked by another surface",
-    "total internal reflection",
-    "no TIR here",
-)
+OUTCOMES = ("reached the end", "missed the surface", "blocked by another", "total internal reflection", "no TIR here")
 
 
 @dataclass(frozen=True)
@@ -108,9 +102,8 @@ def replay(
             heading[good] = hit.transmitted
             if not shape.interface.opaque:
                 medium[good] = np.where(hit.from_front, n_back, n_front)
-                front, back = (
-                    absorption_per_mm(m, wavelength_nm) for m in (shape.interface.front, shape.interface.back)
-                )
+                media = shape.interface.front, shape.interface.back
+                front, back = (absorption_per_mm(m, wavelength_nm) for m in media)
                 absorption[good] = np.where(hit.from_front, back, front)
         elif kind == "A":
             flux[good] *= 1 - hit.reflectance - hit.transmittance

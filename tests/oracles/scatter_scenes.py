@@ -15,8 +15,7 @@ def bsdf_xml(kind: str, **values: float | str) -> str:
 
 
 def scattering_xml(models: Sequence[str], front: str = "air", back: str = "air", **more: float | str) -> str:
-    text = interface_xml(front, back, **more)
-    return text.removesuffix("</bsdf>") + "".join(models) + "</bsdf>"
+    return interface_xml(front, back, **more).removesuffix("</bsdf>") + "".join(models) + "</bsdf>"
 
 
 def diffuser_xml(share: float = 1.0) -> str:

@@ -27,8 +27,6 @@ PARAMETERS = {
     "disk": {"flip_normals"},
     "sphere": {"flip_normals", "radius", *CENTRE},
 }  # fmt: skip
-LABELS = {"part", "space"}
-EMITTERS = ("collimated", "point_source")
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ class _Reader:
             if node.tag == "shape":
                 shapes.append(self._shape(node, len(shapes)))
             elif node.tag == "emitter":
-                if node.attrib["type"] not in EMITTERS:
+                if node.attrib["type"] not in ("collimated", "point_source"):
                     raise ValueError(f"oracle knows no emitter {node.attrib['type']!r}")
                 emitters.append(Emitter(self._transform(node), self._values(node), node.attrib["type"]))
             elif node.tag == "integrator":
@@ -198,7 +196,7 @@ class _Reader:
         shape_id = node.attrib.get("id", f"shape_{number}")
         kind = node.attrib["type"]
         values, matrix = self._values(node), self._transform(node)
-        own = {key: value for key, value in values.items() if key not in LABELS}
+        own = {key: value for key, value in values.items() if key not in {"part", "space"}}
         if kind == "freeform":
             surface: Surface = Freeform.of(own)
             pose = _rigid(shape_id, matrix)
@@ -228,8 +226,7 @@ class _Reader:
             raise ValueError(f"interface of {shape_id}: unknown parameters {sorted(unknown)}")
         table = None
         if "table" in values:
-            folder = self.path.parent if self.path else Path()
-            table = CoatingTable.read(folder / str(values["table"]))
+            table = CoatingTable.read((self.path.parent if self.path else Path()) / str(values["table"]))
         front, back = (str(values.get(side, "air")) for side in ("front", "back"))
         powers = (float(values["R"]), float(values.get("T", 0.0))) if "R" in values else (None, None)
         return Interface(front, back, *powers, table, bool(values.get("mirror", 0.0)))

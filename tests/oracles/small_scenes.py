@@ -38,8 +38,7 @@ def shape_xml(
 
 def scene_text(*shapes: str, radius: float = 1.0, **light: float | str) -> str:
     """A scene with an on-axis collimated source of the given radius (mm) about the origin and 1 W/mm^2."""
-    values = {"radius": radius, **light}
-    items = "".join(f'<{TAGS[type(v)]} name="{k}" value="{v}"/>' for k, v in values.items())
+    items = "".join(f'<{TAGS[type(v)]} name="{k}" value="{v}"/>' for k, v in {"radius": radius, **light}.items())
     source = f'<emitter type="collimated">{items}</emitter>'
     return f'<scene version="3.0.0"><integrator type="straylight"/>{source}{"".join(shapes)}</scene>'
 

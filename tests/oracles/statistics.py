@@ -46,10 +46,7 @@ def assert_z(
     limit = z_limit(z.size, false_alarm) if k is None else k
     worst = int(np.argmax(np.abs(z)))
     if abs(z.flat[worst]) > limit:
-        m, e, s = (
-            np.broadcast_to(np.asarray(v, dtype=float), z.shape).flat[worst]
-            for v in (measured, expected, standard_error)
-        )
+        m, e, s = (np.broadcast_to(v, z.shape).flat[worst] for v in (measured, expected, standard_error))
         label = f" [{names[worst] if names else worst}]" if z.size > 1 else ""
         raise AssertionError(
             f"{what}{label}: {m:.8g} ± {s:.2g}, expected {e:.8g}, off by {abs(z.flat[worst]):.2f} standard errors "

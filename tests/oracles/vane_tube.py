@@ -67,8 +67,7 @@ class VaneTube:
             response = weight[worth] * (1.0 if k == 0 else self.reflectance / np.pi)
             geometry = at_p[worth] * at_light[worth] / distance[worth] ** 2
             total += float(np.sum(response * geometry * light[chosen[worth]])) / n
-            d = by_cosine(normal, rng)
-            _, surface, q, next_normal = self.hit(p + 1e-7 * normal, d)
+            _, surface, q, next_normal = self.hit(p + 1e-7 * normal, by_cosine(normal, rng))
             on_detector = (surface == BOTTOM) & (np.hypot(q[:, 0], q[:, 1]) < self.detector)
             weight = weight * (np.pi if k == 0 else self.reflectance)
             weight[(surface > FIRST_VANE + len(self.vanes) - 1) | on_detector] = 0

@@ -150,8 +150,7 @@ def test_edges_at_0_and_90_degrees_belong_to_their_cells(load_scene) -> None:
     grid = DirectionGrid.of([0.0, 30.0, 90.0])
     light = np.array([[0, 0, 1], [1, 0, 0], [0, -1, 0], [0.6, 0.8, 0], [1, 0, -1e-6], [0, 0, -1]], dtype=np.float64)
     np.testing.assert_array_equal(device_cells(grid, -light), [0, 2, 2, 2, -1, -1])
-    narrow = DirectionGrid.of([10.0, 80.0])
-    np.testing.assert_array_equal(device_cells(narrow, -light), [-1] * len(light))
+    np.testing.assert_array_equal(device_cells(DirectionGrid.of([10.0, 80.0]), -light), [-1] * len(light))
     # The beam of a turned source at field angle 20°, azimuth 130° goes into that cell, in the source's frame
     beam = beam_xml(1.0, along=(1.0, 2.0, 3.0), field_deg=20.0, azimuth_deg=130.0)
     scene = load_scene(scatter_scene(beam, placed_xml("asphere", "detector", at=(0, 0, 9), pixels=4, semi_diameter=1)))
@@ -204,12 +203,9 @@ def test_negative_field_angles_are_at_the_opposite_azimuth() -> None:
     assert again.facts() == grid.facts()
 
 
-def lambertian(f: float) -> str:
-    return scattering_xml([bsdf_xml("abg", A=2 * f, B=1.0, g=0.0)], R=1.0, T=0.0)
-
-
 def screen_text(f: float, radius: float) -> str:
-    screen = shape_xml("asphere", "screen", 0.0, lambertian(f), semi_diameter=4.0)
+    lambertian = scattering_xml([bsdf_xml("abg", A=2 * f, B=1.0, g=0.0)], R=1.0, T=0.0)
+    screen = shape_xml("asphere", "screen", 0.0, lambertian, semi_diameter=4.0)
     detector = shape_xml("asphere", "detector", 5.0, sensor=True, semi_diameter=0.1)
     return scene_text(screen, detector, radius=radius, distance=2.0)
 
@@ -310,8 +306,7 @@ def test_far_field_of_a_lambertian(load_text) -> None:
     assert np.all(se < 0.2 * expected)
     assert far.power[0] == pytest.approx(t.energy.escaped_W, rel=1e-9)
     # A beam at 10° and azimuth 90° (towards -x) that meets nothing behind a plate leaves in one cell
-    text = plates_text(1, R=0.0, T=1.0).replace('half_width" value="50.0', 'half_width" value="0.01')
-    scene, _ = load_text(text)
+    scene, _ = load_text(plates_text(1, R=0.0, T=1.0).replace('half_width" value="50.0', 'half_width" value="0.01'))
     far = FarField("beam", edges_deg=(0, 9, 11, 180), azimuths=8)
     mistray.trace(scene, rays=1000, field_deg=10.0, azimuth_deg=100.0, recorders=[far])
     flux = far.intensity[0] * far.solid_angle_sr[:, None]

@@ -74,5 +74,4 @@ def test_every_path_has_its_power() -> None:
     assert opl.min() >= low - lengths.step
     assert opl.max() <= high + lengths.step
     other = mistray.trace(mistray.load("double_gauss"), rays=20_000, field_deg=3)
-    powers = [sorted(row.power_W for row in one.paths) for one in (t, other)]
-    np.testing.assert_allclose(*powers, rtol=1e-12)
+    np.testing.assert_allclose(*(sorted(row.power_W for row in one.paths) for one in (t, other)), rtol=1e-12)

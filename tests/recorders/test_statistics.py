@@ -51,10 +51,9 @@ def split_trace(name: str, field_deg: float) -> mistray.Trace:
 @pytest.mark.parametrize("name", ["plate", "cooke_triplet", pytest.param("phone_camera", marks=pytest.mark.slow)])
 def test_modes_agree_with_splitting(name: str, mode: str) -> None:
     """Totals within 3 standard errors (four totals a case: 1 % false alarm each), strong paths at a joint 1e-3."""
-    scene = mistray.load(name)
     limits = {"max_reflections": 2, "field_deg": 5.0 if name != "plate" else 0.0}
     split = split_trace(name, limits["field_deg"])
-    other = mistray.trace(scene, seed=23, **MODES[mode], **limits)
+    other = mistray.trace(mistray.load(name), seed=23, **MODES[mode], **limits)
     totals = []
     for t in (split, other):
         e = t.energy
@@ -133,8 +132,7 @@ class TestStandardErrors:
         for error in (grid.x_se_mm, grid.y_se_mm):
             assert error == pytest.approx(random, rel=0.2 + 5 * 0.126)  # the image is cut to a rectangle
         share = grid.rays / 10_000
-        binomial = grid.power_W * np.sqrt((1 - share) / (share * 10_000))
-        assert grid.power_se_W == pytest.approx(binomial, rel=5 * 0.126)
+        assert grid.power_se_W == pytest.approx(grid.power_W * np.sqrt((1 - share) / (share * 10_000)), rel=5 * 0.126)
         for what in ("x_se_mm", "y_se_mm", "rms_radius_se_mm", "power_se_W"):
             assert getattr(grid, what) > getattr(even, what), what
         assert np.abs((grid.x_mm, grid.y_mm)).max() < 3 * grid.x_se_mm
@@ -177,11 +175,10 @@ class TestStartRays:
             z.append(origin[:, :2].mean(axis=0) * np.sqrt(3 * rays))
             cells, _, _ = np.histogram2d(origin[:, 0], origin[:, 1], bins=8, range=[[-1, 1]] * 2)
             chi2.append(np.sum(np.square(cells - rays / 64)) / (rays / 64))
-        limit = z_limit(5, 1e-3)
         variance = np.square(z).mean(axis=0)
         even = 32 / rays  # of a batch
         assert np.all(variance < 10 * even), f"variance of the means {variance}"
-        assert np.all(np.abs(np.mean(z, axis=0)) < limit * np.sqrt(variance / seeds))
+        assert np.all(np.abs(np.mean(z, axis=0)) < z_limit(5, 1e-3) * np.sqrt(variance / seeds))
         assert np.mean(chi2) < 63 * np.minimum(1.0, 10 * np.sqrt(even)), f"chi² {np.mean(chi2):.1f} of 63 cells"
 
     def test_batches_are_independent(self, load_text) -> None:
@@ -250,8 +247,7 @@ def test_errors_hold(draw: object, mean: float) -> None:
 
 def test_a_trace_counts_its_hits() -> None:
     beam = {"type": "collimated", "radius": 1.0, "irradiance": 2.0 / np.pi}
-    detector = square(2.0, 6, z=5.0, bsdf={"type": "interface", "R": 0.25})
-    t = mistray.trace(lit(beam, detector=detector), rays=512)
+    t = mistray.trace(lit(beam, detector=square(2.0, 6, z=5.0, bsdf={"type": "interface", "R": 0.25})), rays=512)
     rays, squares, fourths = t.light.weights
     one = 2.0 * 0.75 / 512 / (4.0 / 6) ** 2  # W/mm² of a ray
     assert rays.sum() == 512
@@ -269,11 +265,10 @@ def moving_lens(
 ) -> str:
     """A lens with ghosts; its beam is larger than the detector, whose middle may lie far from the axis."""
     glass = interface_xml("air", "1.7"), interface_xml("1.7", "air")
-    detector = shape_xml("asphere", "detector", z, interface_xml(R=0.1), sensor=True, half_width=1.5, half_height=1.0)
     text = scene_text(
         shape_xml("asphere", "front", 3.0, glass[0], curvature=0.08, semi_diameter=4.0),
         shape_xml("asphere", "rear", 6.0, glass[1], curvature=-0.02, semi_diameter=4.0),
-        detector,
+        shape_xml("asphere", "detector", z, interface_xml(R=0.1), sensor=True, half_width=1.5, half_height=1.0),
         radius=radius,
     )
     text = text.replace('value="64"', f'value="{pixels}"').replace('<rfilter type="box"/>', film)
@@ -295,13 +290,11 @@ def recorded(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[bytes]]
     """x, y (mm), weight and events of every hit of a plane detector that is not tilted, from the recorder."""
     recorder = run.record(None, 100_000)
     n = int(recorder.count[0])
-    nodes = recorder.nodes_of(np.arange(n), recorder.max_events)
     length = np.array(recorder.length)[:n]
-    last = nodes[np.arange(n), length - 1]
+    last = recorder.nodes_of(np.arange(n), recorder.max_events)[np.arange(n), length - 1]
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:n]
-    texts = [codes[i, : length[i]].tobytes() for i in range(n)]
     x, y = (last[:, :2] - run.table.vertices[run.table.detector][:2]).T
-    return x, y, last[:, 6], texts
+    return x, y, last[:, 6], [codes[i, : length[i]].tobytes() for i in range(n)]
 
 
 def metric(run: Run, **derivatives: Any) -> Adjoint:
@@ -319,8 +312,7 @@ class TestTent:
         """The image is that of the oracle, float64, from the hits of the recorder; no flux is lost at the border."""
         run = executed(load_scene(moving_lens('<rfilter type="tent"/>')))
         x, y, w, _ = recorded(run)
-        zero = np.zeros((0, len(x), 3))
-        expected = tent_image([Hits(x, y, 0.9 * w, w, zero, [])], (-1.5, 1.5, -1.0, 1.0), (8, 8))
+        expected = tent_image([Hits(x, y, 0.9 * w, w, np.zeros((0, len(x), 3)), [])], (-1.5, 1.5, -1.0, 1.0), (8, 8))
         np.testing.assert_allclose(run.light.value, expected, rtol=2e-4, atol=1e-6 * expected.max())
         np.testing.assert_allclose(run.light.value.sum(), 0.9 * w.sum(), rtol=1e-6)
         assert np.any(np.abs(x) > 1.5 - 1.5 / 8)  # beyond the centres of the outer pixels
@@ -331,13 +323,11 @@ class TestTent:
         np.testing.assert_allclose(run.light.value.sum(), 0.9 * w.sum(), rtol=1e-6)
         # Maps of paths are spread by a tent as well
         t = mistray.trace(load_scene(moving_lens('<rfilter type="tent"/>')), rays=RAYS)
-        single = sum(t.irradiance_of([row.path_id])[0] for row in t.paths)
-        np.testing.assert_allclose(single, t.irradiance, rtol=1e-9)
+        np.testing.assert_allclose(sum(t.irradiance_of([row.path_id])[0] for row in t.paths), t.irradiance, rtol=1e-9)
 
     def test_a_tent_of_another_width(self, load_scene) -> None:
-        film = '<rfilter type="tent"><float name="radius" value="2.5"/></rfilter>'
         with pytest.raises(MistrayError, match=r"rfilter 'tent' has a radius of 2.5 pixels"):
-            executed(load_scene(moving_lens(film)))
+            executed(load_scene(moving_lens('<rfilter type="tent"><float name="radius" value="2.5"/></rfilter>')))
 
         for kind, expected in (("tent", True), ("box", False), ("gaussian", False)):
             assert spreads(mi.load_dict({"type": "hdrfilm", "rfilter": {"type": kind}})) is expected
@@ -355,9 +345,8 @@ class TestDerivativeOfHits:
         """The ledger's sums know the flux, its first moments and x² + y²; the rest comes from the recorder."""
         run = executed(load_scene(moving_lens()))
         ledger, paths = books(run)
-        rng = np.random.default_rng(3)
         coefficients = np.zeros((ledger.capacity, 6))
-        coefficients[paths.slots] = rng.normal(size=(len(paths.slots), 6))
+        coefficients[paths.slots] = np.random.default_rng(3).normal(size=(len(paths.slots), 6))
         x, y, w, texts = recorded(run)
         expected = 0.0
         for events, length, slot in zip(paths.events, paths.lengths, paths.slots, strict=True):
@@ -395,8 +384,7 @@ class TestDerivativeOfHits:
         other, coefficients = replace(other, ledger=run.ledger), np.zeros((run.ledger.capacity, 6))
         coefficients[:, 0] = 1.0
         adjoint = metric(other, path=upload(mi.Float64, coefficients))
-        found = gains(other, adjoint)
         direct = other.sums.paths.sums.sum(axis=1)[other.sums.paths.keys == known[known != 0][0]][0, 2]
-        assert found == pytest.approx(direct, rel=1e-6)
+        assert gains(other, adjoint) == pytest.approx(direct, rel=1e-6)
         assert float(adjoint.unknown[0]) == pytest.approx(other.sums.paths.sums.sum(axis=(0, 1))[2] - direct, rel=1e-5)
         np.testing.assert_array_equal(np.array(run.ledger.keys), known)

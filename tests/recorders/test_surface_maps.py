@@ -67,14 +67,12 @@ def turned(radius: Callable[[np.ndarray], np.ndarray], z: Callable[[np.ndarray],
 def test_the_wall_of_a_tube_about_a_lamp_on_its_axis():
     """E = Φ a / (4π (a² + z²)^(3/2)); a ring between z1 and z2 has Φ/2 (u(z2) - u(z1)), u = z / √(a² + z²)."""
     a, z0 = 5.0, 3.0
-    scene = scene_of(np.array([0, 0, z0]), tube=tube(-10.0, 20.0))
     walls = SurfaceMaps("walls", azimuths=6, lengths=10)
-    t = mistray.trace(scene, rays=200_000, recorders=[walls])
+    t = mistray.trace(scene_of(np.array([0, 0, z0]), tube=tube(-10.0, 20.0)), rays=200_000, recorders=[walls])
     one = walls.maps["tube"]
     np.testing.assert_allclose(one.along_mm, np.linspace(-10, 20, 11), atol=1e-12)
-    exact = in_tube(one, z0)
     # 60 cells within 6 standard errors of 32 batches: fails once in 10 000
-    assert np.all(np.abs(one.incident.value - exact) < 6 * one.incident.se)
+    assert np.all(np.abs(one.incident.value - in_tube(one, z0)) < 6 * one.incident.se)
     value, se = one.irradiance
     centre = 0.5 * (one.along_mm[1:] + one.along_mm[:-1])
     middle = a / (4 * np.pi * (a * a + (centre - z0) ** 2) ** 1.5)
@@ -87,34 +85,23 @@ def test_the_wall_of_a_tube_about_a_lamp_on_its_axis():
     walls = SurfaceMaps("walls", azimuths=4, lengths=3)
     mistray.trace(scene_of(SOURCE, half=hemisphere), rays=100, recorders=[walls])
     one = walls.maps["half"]
-    z = 3 - np.sqrt(9 - one.along_mm**2)
-    np.testing.assert_allclose(one.areas * 4, 2 * np.pi * 3 * np.diff(z), rtol=1e-9)
+    np.testing.assert_allclose(one.areas * 4, 2 * np.pi * 3 * np.diff(3 - np.sqrt(9 - one.along_mm**2)), rtol=1e-9)
     x0, x1, y0, y1 = one.unrolled_mm
     assert (x1 - x0) * (y1 - y0) == pytest.approx(2 * np.pi * 9, rel=1e-9)
 
 
 POSE = mi.ScalarTransform4d().translate([1, 2, -4]).rotate([1, 0, 0], 20).rotate([0, 0, 1], 35)
 CASES: dict[str, tuple[dict, Place]] = {
-    "tube": (
-        {"type": "frustum", "r0": 5.0, "r1": 5.0, "z0": -8.0, "z1": 10.0},
-        turned(lambda z: 5.0 + 0 * z, lambda z: z),
-    ),
-    "cone": (
-        {"type": "frustum", "r0": 7.0, "r1": 4.0, "z0": 9.0, "z1": -6.0},
-        turned(lambda z: 4.0 + (z + 6) / 5, lambda z: z),
-    ),
-    "ring": (
-        {"type": "frustum", "r0": 9.0, "r1": 2.0, "z0": 12.0, "z1": 12.0},
-        turned(lambda r: r, lambda r: 12.0 + 0 * r),
-    ),
-    "bowl": (
-        {"type": "asphere", "radius": -12.0, "conic": -0.4, "semi_diameter": 9.0, "inner_semi_diameter": 1.0, "z": 14},
-        turned(lambda r: r, lambda r: 14 - (r * r / 12) / (1 + np.sqrt(1 - 0.6 * (r / 12) ** 2))),
-    ),
-    "plane": (
-        {"type": "asphere", "half_width": 6.0, "half_height": 4.0, "z": 9.0},
-        lambda y, x: np.stack([x, y, 9.0 + 0 * x], axis=-1),
-    ),
+    "tube": ({"type": "frustum", "r0": 5.0, "r1": 5.0, "z0": -8.0, "z1": 10.0},
+             turned(lambda z: 5.0 + 0 * z, lambda z: z)),
+    "cone": ({"type": "frustum", "r0": 7.0, "r1": 4.0, "z0": 9.0, "z1": -6.0},
+             turned(lambda z: 4.0 + (z + 6) / 5, lambda z: z)),
+    "ring": ({"type": "frustum", "r0": 9.0, "r1": 2.0, "z0": 12.0, "z1": 12.0},
+             turned(lambda r: r, lambda r: 12.0 + 0 * r)),
+    "bowl": ({"type": "asphere", "radius": -12.0, "conic": -0.4, "semi_diameter": 9.0, "inner_semi_diameter": 1.0,
+              "z": 14}, turned(lambda r: r, lambda r: 14 - (r * r / 12) / (1 + np.sqrt(1 - 0.6 * (r / 12) ** 2)))),
+    "plane": ({"type": "asphere", "half_width": 6.0, "half_height": 4.0, "z": 9.0},
+              lambda y, x: np.stack([x, y, 9.0 + 0 * x], axis=-1)),
 }  # fmt: skip
 
 
@@ -125,9 +112,8 @@ def test_surfaces_beside_a_lamp(name):
     shape, place = CASES[name]
     matrix = np.array(POSE.matrix, dtype=np.float64)
     source = matrix[:3, :3] @ SOURCE + matrix[:3, 3]
-    scene = scene_of(source, wall=shape | {"to_world": POSE, "bsdf": BLACK})
     walls = SurfaceMaps("walls", azimuths=8, lengths=5)
-    mistray.trace(scene, rays=150_000, recorders=[walls])
+    mistray.trace(scene_of(source, wall=shape | {"to_world": POSE, "bsdf": BLACK}), rays=150_000, recorders=[walls])
     one = walls.maps["wall"]
     exact = flux(place, SOURCE, one.along_mm, one.across_borders)
     # 40 cells within 6 standard errors of 32 batches: fails once in 20 000 for each surface
@@ -138,8 +124,7 @@ def test_surfaces_beside_a_lamp(name):
 
 @pytest.mark.parametrize("name", ["plate_and_wall", pytest.param("double_gauss_barrel", marks=pytest.mark.long)])
 def test_powers_are_those_of_the_ledger(name):
-    sources = ["point:0,3,-300,half_angle_deg=3,id=lamp", "beam:radius=9,distance=20,id=sun"]
-    scene = mistray.load(name, sources=sources)
+    scene = mistray.load(name, sources=["point:0,3,-300,half_angle_deg=3,id=lamp", "beam:radius=9,distance=20,id=sun"])
     walls = SurfaceMaps("all", "*", azimuths=5, lengths=3)
     t = mistray.trace(scene, rays=4000, wavelength_nm=[480.0, 640.0], max_reflections=2, recorders=[walls])
     assert set(walls.maps) == {row.id for row in t.surfaces} - set(walls.left_out)
@@ -205,8 +190,7 @@ def test_a_sensor_of_a_scene_and_its_text():
     walls = {"type": "surface_maps", "surfaces": "tube_?", "azimuths": 8, "lengths": 4}
     tubes = {f"tube_{k}": tube(3.0 * k, 3.0 * k + 2) for k in (1, 2)}
     lamp = scene_of(SOURCE, walls=walls, **tubes)
-    found = mistray.trace(lamp, rays=1000, max_reflections=0).recorders["walls"]
-    assert list(found.maps) == ["tube_1", "tube_2"]
+    assert list(mistray.trace(lamp, rays=1000, max_reflections=0).recorders["walls"].maps) == ["tube_1", "tube_2"]
     number = [sensor.id() for sensor in lamp.sensors()].index("walls")
     image = np.array(mi.render(lamp, sensor=number, integrator=mi.load_dict({"type": "straylight", "rays": 1000})))
     assert image.shape == (8, 8, 1)
@@ -267,10 +251,9 @@ def test_ghosts_of_a_window_on_a_plate():
 
 def test_parts_add_up_to_what_a_recorder_sums():
     """Cell by cell, of light that scatters, at two wavelengths; the recorder sums in the kernel, without the parts."""
-    scene = mistray.load("plate_and_wall")
     walls = SurfaceMaps("walls", ["housing*", "screen", "detector"], azimuths=6, lengths=4)
     settings = {"field_deg": 12.0, "wavelength_nm": [480.0, 640.0], "max_reflections": 1}
-    t = mistray.trace(scene, rays=6000, recorders=[walls], **settings)
+    t = mistray.trace(mistray.load("plate_and_wall"), rays=6000, recorders=[walls], **settings)
     kinds = [DIRECT, *STRAY_KINDS]
     whole, *parts = t.surface_maps(walls.patterns, ["all", *kinds], azimuths=6, lengths=4)
     assert set(whole) == set(walls.maps)
@@ -283,8 +266,7 @@ def test_parts_add_up_to_what_a_recorder_sums():
             np.testing.assert_allclose(sum(s.value for s in sums), expected.value, rtol=1e-6, atol=scale)
     by_kind = {kind: maps["detector"].absorbed_power[0] for kind, maps in zip(kinds, parts, strict=True)}
     for kind, power in by_kind.items():
-        rows = t.paths.select(kind)
-        assert power == pytest.approx(sum(row.power_W for row in rows), rel=1e-6, abs=1e-12), kind
+        assert power == pytest.approx(sum(row.power_W for row in t.paths.select(kind)), rel=1e-6, abs=1e-12), kind
 
 
 COMMAND = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet"]
@@ -297,8 +279,7 @@ def test_the_command_maps_parts_of_the_light(tmp_path, capsys):
     lights = ["single scatter", "S(plate*) & !G", "stray"]
     more = ["--surface-maps", "screen", "lengths=6", "--formats", "npy", "--json"]
     found = succeeds(capsys, *COMMAND, "--maps", *lights, *more, "--out", out)
-    rows = json.loads(found)["sections"]["light"]["light_maps"]
-    assert [(row["light"], row["surface"]) for row in rows] == [
+    assert [(row["light"], row["surface"]) for row in json.loads(found)["sections"]["light"]["light_maps"]] == [
         (light, where) for light in lights for where in ("detector", "screen")
     ]
     table = pd.read_csv(out / "light_maps.csv")
@@ -315,8 +296,7 @@ def test_the_command_maps_parts_of_the_light(tmp_path, capsys):
         f"irradiance_ghost{number}_0deg.npy" for number in ("", "_2", "_3")
     }
     paths = pd.read_csv(out / "paths.csv")
-    own = paths[(paths.kind != DIRECT)].power_W.sum()
-    assert table.power_W[4] == pytest.approx(own, rel=1e-6)
+    assert table.power_W[4] == pytest.approx(paths[(paths.kind != DIRECT)].power_W.sum(), rel=1e-6)
 
 
 A, B = 0.02, 0.25
@@ -420,10 +400,9 @@ def test_all_surfaces_of_a_barrel_close(capsys):
 @pytest.mark.quick
 def test_a_mesh_and_patterns():
     place = mi.ScalarTransform4d().scale(9).translate([0, 0, 2])
-    paint = interface({"type": "paint", "reflectance": 0.25}, R=0.0)
     scene = lit(
         BEAM,
-        wall={"type": "rectangle", "to_world": place, "bsdf": paint},
+        wall={"type": "rectangle", "to_world": place, "bsdf": interface({"type": "paint", "reflectance": 0.25}, R=0.0)},
         detector={"type": "asphere", "semi_diameter": 0.1, "z": 90.0, "bsdf": BLACK, "sensor": meter()},
         own={"type": "flux_split", "surfaces": "wall"},
     )

@@ -82,8 +82,7 @@ def test_targets_of_a_tube(load_scene) -> None:
     table, found = exits_of(scene, aimed_rays=2)
     (target,) = found.start.targets
     assert target.centre[2] < 0
-    wall = table.ids.index("tube")
-    aim = found.aims[wall, False]
+    aim = found.aims[table.ids.index("tube"), False]
     assert aim.rays == 2
     assert sum(one.share for one in aim.targets) == pytest.approx(1)
     for settings in ({"aim": "none"}, {"aim": "targets"}, {"aimed_rays": 0}):

@@ -62,15 +62,11 @@ DETECTORS: dict[str, tuple[str, dict[str, Any], float, dict[str, float]]] = {
     "rectangle": ("asphere", {"half_width": 3.0, "half_height": 2.0}, 24.0, {"x": 0, "x²": 3, "y²": 4 / 3, "xy": 0}),
     "stock rectangle": ("rectangle", {"scale": (3.0, 2.0, 1.0)}, 24.0, {"x²": 3.0, "y²": 4 / 3}),
     "round": ("asphere", {"semi_diameter": 4.0}, 16 * np.pi, {"r²": 8.0, "r⁴": 256 / 3, "quadrant": 0.25}),
-    "annular": (
-        "asphere", {"semi_diameter": 4.0, "inner_semi_diameter": 2.0}, 12 * np.pi,
-        {"r²": 10.0, "r⁴": (4.0**6 - 2.0**6) / 36, "half": 0.5},
-    ),
+    "annular": ("asphere", {"semi_diameter": 4.0, "inner_semi_diameter": 2.0}, 12 * np.pi,
+                {"r²": 10.0, "r⁴": (4.0**6 - 2.0**6) / 36, "half": 0.5}),
     # Of a sphere all heights have the same area
-    "curved": (
-        "asphere", {"semi_diameter": 6.0, "radius": 10.0}, 20 * np.pi * SAG,
-        {"z": SAG / 2, "z²": SAG**2 / 3, "half": 0.5},
-    ),
+    "curved": ("asphere", {"semi_diameter": 6.0, "radius": 10.0}, 20 * np.pi * SAG,
+               {"z": SAG / 2, "z²": SAG**2 / 3, "half": 0.5}),
 }  # fmt: skip
 NEAR, FAR = AT + np.array([2.0, 1.0, -9.0]), AT + np.array([-8.0, 0.0, -20.0])
 ELLIPSE = Target("ellipse", NEAR, np.array([3.0, 0, 0]), np.array([0, 4.0, 1.0]), share=0.7)
@@ -176,8 +172,7 @@ def test_aimed_rays_and_their_pixels(detector_table) -> None:
     found = rays_of(DetectorStart(table, AXIS, None, False), lanes=3200)
     own = (table.download_points(found.o) - AT) @ table.rotations[table.detector]
     column, row = np.floor((own[:, 0] / 3 + 1) * 2), np.floor((own[:, 1] / 2 + 1) * 2)
-    expected = 4 * row + column
-    assert np.mean(np.array(found.pixel) == expected) > 0.999  # on the edge rounding decides
+    assert np.mean(np.array(found.pixel) == 4 * row + column) > 0.999  # on the edge rounding decides
     assert set(np.array(found.pixel)) == set(range(16))
 
 
@@ -249,9 +244,7 @@ def test_cells_lend_what_they_have_met() -> None:
     assert np.median(densities[1]) > 5 * np.median(densities[0])
 
     there = samples.with_those_beside((1, 3))  # azimuths go round
-    assert [np.count_nonzero(there.cell == cell) > np.count_nonzero(samples.cell == cell) for cell in range(3)] == [
-        True
-    ] * 3
+    assert all(np.count_nonzero(there.cell == cell) > np.count_nonzero(samples.cell == cell) for cell in range(3))
 
 
 def test_samples_after_roulette_stand_for_all() -> None:
@@ -348,11 +341,10 @@ def test_a_solid_telescope_has_one_pst() -> None:
     """A mirror and a painted wall hide the entrance; forward rays need not know the glass. False alarms 1e-4 each."""
     front = {**BLACK, "front": "1.6"}
     disc = {**ROUND, "bsdf": {"type": "interface", "back": "1.6"}}
-    mirror = {**ROUND, "radius": -100.0, "z": 49.0, "bsdf": {**front, "R": 0.9, "mirror": True}}
     paint = {**front, "p": {"type": "paint", "reflectance": 0.1}}
     shapes = {
         "entrance": {**disc, "inner_semi_diameter": 3.0},
-        "mirror": mirror,
+        "mirror": {**ROUND, "radius": -100.0, "z": 49.0, "bsdf": {**front, "R": 0.9, "mirror": True}},
         "wall": {"type": "frustum", "r0": 10, "z0": 0, "r1": 10, "z1": 48.5, "bsdf": paint},
         "hole": {"type": "frustum", "r0": 0, "z0": -1e-3, "r1": 3, "z1": -1e-3, "bsdf": BLACK},
         "detector": square(2.0, bsdf=front, to_world=T().translate([0, 0, 0.2]).rotate([1, 0, 0], 180)),
@@ -389,8 +381,7 @@ def single_scatter(angle_deg: float, half: float, g: float = ASYMMETRY) -> float
     x, weights = np.polynomial.legendre.leggauss(16)
     z, w_z = 0.5 * DEPTH * (x + 1), 0.5 * DEPTH * weights
     r2, w_r = 0.5 * (x + 1), 0.5 * weights  # uniform over the beam's area
-    phi = 2 * np.pi * (np.arange(16) + 0.5) / 16
-    Z, R2, PHI = np.meshgrid(z, r2, phi, indexing="ij")
+    Z, R2, PHI = np.meshgrid(z, r2, 2 * np.pi * (np.arange(16) + 0.5) / 16, indexing="ij")
     weight = (w_z[:, None, None] * w_r[None, :, None] / 16 * np.ones_like(PHI)).ravel()
     p = np.stack([np.sqrt(R2) * np.cos(PHI), np.sqrt(R2) * np.sin(PHI), Z], axis=-1).reshape(-1, 3)
     angle = np.radians(angle_deg)

@@ -27,7 +27,6 @@ from mistray.settings import Settings
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable
 
-ROOT = Path(__file__).parents[2]
 D_LINE_NM = 587.5618
 
 
@@ -114,7 +113,7 @@ LENS_SCENES = ["cooke_triplet", "double_gauss", "singlet_window_detector", "newt
 def oracle_lands(images: DetectorImages, name: str, number: int, origins: np.ndarray, d: np.ndarray) -> np.ndarray:
     """Which rays that leave the surface before step `number` reach the detector by the path, by the float64 oracle."""
     steps, ids = images.path.steps, images.path.table.ids
-    model = read_scene(ROOT / "scenes" / name / "scene.xml")
+    model = read_scene(Path(__file__).parents[2] / "scenes" / name / "scene.xml")
     left = steps[number - 1]
     interface = model.by_id[ids[left.surface]].interface
     medium = "air" if interface.opaque or interface.mirror else interface.back if left.to_back else interface.front
@@ -131,8 +130,7 @@ def oracle_lands(images: DetectorImages, name: str, number: int, origins: np.nda
 @pytest.mark.parametrize("name", [*LENS_SCENES, "phone_camera"])
 def test_targets_hold_the_light_that_reaches_the_detector(name):
     """At least 98 % of the light that lands (5 % less of diffuse light) lies within; 10 % of the aimed rays land."""
-    scene = mistray.load(name)
-    images = images_of(scene)
+    images = images_of(mistray.load(name))
     table = images.path.table
     rng = np.random.default_rng(5)
     found = automatic_targets(table, images.path, [step.surface for step in images.path.steps[:-1]])
@@ -243,8 +241,7 @@ def mesh(file: Path, vertices: str, faces: str) -> str:
 def test_shapes_of_targets(aims, tmp_path) -> None:
     triangles = mesh(tmp_path / "square.obj", "-1 -1 20, 1 -1 20, 1 1 20, -1 3 20", "1 2 3, 1 3 4")
     ring = placed_xml("frustum", "t", bsdf_xml("target", surfaces="a_front"), r0=1.0, z0=20.0, r1=4.0, z1=20.0)
-    place = {"at": (0.0, 0.0, 20.0), "scale": (2.0, 3.0, 1.0)}
-    square = given("t", "rectangle", surfaces="a_front", place=place)
+    square = given("t", "rectangle", surfaces="a_front", place={"at": (0.0, 0.0, 20.0), "scale": (2.0, 3.0, 1.0)})
     aim, ring, square = (aims(one, aim="targets")["a_front", "back"] for one in (triangles, ring, square))
     assert sum(t.area for t in aim.targets) == pytest.approx(0.25 * (2 + 4), rel=1e-6)
     assert [t.share for t in aim.targets] == pytest.approx([1 / 3, 2 / 3])
@@ -303,12 +300,10 @@ def test_every_kind_of_target_gives_the_same_light(load_scene, kinds):
 @pytest.mark.parametrize("reverse", [False, True])
 def test_share_of_aimed_rays_that_land(load_scene, reverse):
     """A target of twice the area of the detector, in its plane: half of the rays land; 5 standard errors (6e-7)."""
-    scale = (np.sqrt(2) * 2,) * 2 + (1.0,)
-    place = {"at": (0.0, 0.0, -10.0 if reverse else 10.0), "scale": scale}
+    place = {"at": (0.0, 0.0, -10.0 if reverse else 10.0), "scale": (np.sqrt(2) * 2,) * 2 + (1.0,)}
     beam = beam_xml(1e-4 if reverse else 1.0)  # from one point the virtual target is the same cone
     text = sheet(given("t", place=place, surfaces="sheet", reverse=reverse)).replace(beam_xml(1.0), beam)
-    t = mistray.trace(load_scene(text), rays=20_000, aim="targets")
-    (row,) = t.aiming
+    (row,) = mistray.trace(load_scene(text), rays=20_000, aim="targets").aiming
     assert row.id == "sheet"
     assert row.aimed == pytest.approx(20_000, rel=1e-3)
     assert abs(row.landed / row.aimed - 0.5) < 5 * 0.5 / np.sqrt(row.aimed)
@@ -372,7 +367,6 @@ FAR_MM = 200.0  # mm: the detector from the origin
 BEAM = {"type": "collimated", "radius": 1.0}
 EDGE = {"type": "interface", "R": 0.0, "T": 1.0, "model": {"type": "edge_diffraction", "width_mm": 0.02}}
 PAINT = {**BLACK, "haze": {"type": "paint", "reflectance": 0.2}}
-BACK = mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])
 ASIDE = square(10.0, to_world=towards_origin(30, FAR_MM))
 # The parts of each scene, and the share of the launched light that is emitted, scattered or diffracted
 FIVE: dict[str, tuple[dict[str, Any], float]] = {
@@ -382,7 +376,7 @@ FIVE: dict[str, tuple[dict[str, Any], float]] = {
     "surface source": ({"lamp": {"type": "surface_source", "radius": 3.0}, "detector": ASIDE}, 1.0),
     "scattered": (
         {
-            "lamp": {**BEAM, "to_world": BACK},
+            "lamp": {**BEAM, "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])},
             "plate": {"type": "asphere", "semi_diameter": 2.0, "z": -1.0, "bsdf": PAINT},
             "detector": ASIDE,
         },
@@ -410,12 +404,10 @@ def test_aimed_rays_of_every_kind(kind: str) -> None:
     limits = {"ledger": False, "scatter_threshold": 0.0}
     aimed = mistray.trace(scene, rays=20_000, seed=1, **limits).energy
     blind = mistray.trace(scene, rays=1_000_000, seed=2, aim="none", **limits).energy
-    error = float(np.hypot(aimed.detected_se_W, blind.detected_se_W))
     assert blind.detected_se_W < 0.1 * blind.detected_W
-    assert_z(kind, aimed.detected_W, blind.detected_W, error, k=3.0)
+    assert_z(kind, aimed.detected_W, blind.detected_W, float(np.hypot(aimed.detected_se_W, blind.detected_se_W)), k=3.0)
     share = aimed.detected_W / aimed.launched_W / sent
-    gain = (1 - share) / (20_000 * share) / (aimed.detected_se_W / aimed.detected_W) ** 2
-    assert gain > 0.5 / share * (1 - 3 / 8)
+    assert (1 - share) / (20_000 * share) / (aimed.detected_se_W / aimed.detected_W) ** 2 > 0.5 / share * (1 - 3 / 8)
 
 
 INDEX, THICK, RADIUS = 1.5, 6.0, 12.5  # of the window, mm
@@ -468,9 +460,8 @@ def test_light_finds_the_detector_through_windows() -> None:
     assert abs(power - expected) < z_limit(1, 1e-4) * se
     # An opaque wall that sees the detector through both faces: as by rays without aim, 4 errors (6e-5) of a fifth
     paint = {**BLACK, "paint": {"type": "paint", "reflectance": 0.5}}
-    wall = {"type": "asphere", "semi_diameter": 10.0, "z": 20.0, "bsdf": paint}
     beam = {"type": "collimated", "radius": BEAM_MM, "to_world": mi.ScalarTransform4f().translate([0, 0, -10])}
-    scene = window("none", -AWAY, lamp=beam, wall=wall)
+    scene = window("none", -AWAY, lamp=beam, wall={"type": "asphere", "semi_diameter": 10.0, "z": 20.0, "bsdf": paint})
     (aimed, se), (blind, error) = measured(scene, 10_000), measured(scene, 100_000, aim="none")
     assert abs(aimed - blind) < 4 * np.hypot(se, error)
     assert se < 0.2 * error

@@ -17,13 +17,8 @@ from mistray.spectra.spectrum import light_of
 pytestmark = pytest.mark.quick
 
 # A small round detector off the axis
-DETECTOR = {
-    "type": "asphere",
-    "semi_diameter": 2.0,
-    "to_world": towards_origin(float(np.degrees(np.arcsin(0.6))), 50.0),
-    "bsdf": BLACK,
-    "sensor": meter(),
-}
+ASIDE = towards_origin(float(np.degrees(np.arcsin(0.6))), 50.0)
+DETECTOR = {"type": "asphere", "semi_diameter": 2.0, "to_world": ASIDE, "bsdf": BLACK, "sensor": meter()}
 
 
 def lm63(
@@ -44,8 +39,7 @@ def lm63(
 
 def rough(phis: int = 13) -> Intensities:
     """An intensity without any symmetry, 20 to 140° from the axis, with a dark corner."""
-    rng = np.random.default_rng(3)
-    values = rng.uniform(0.1, 1.0, (9, phis))
+    values = np.random.default_rng(3).uniform(0.1, 1.0, (9, phis))
     values[:3, 2:5] = 0.0
     values[:, -1] = values[:, 0]
     return Intensities(np.linspace(20, 140, 9), np.linspace(0, 360, phis), values)
@@ -124,9 +118,8 @@ def test_ies(tmp_path: Path) -> None:
         ("any", np.ones(25), 0),
     ):
         keep = phi <= last
-        candela = 100 * np.outer(shape[keep], fall)
         file = tmp_path / f"{kind} one.ies"
-        file.write_bytes(lm63(theta, phi[keep], candela, multiplier=2.0).encode("latin-1"))
+        file.write_bytes(lm63(theta, phi[keep], 100 * np.outer(shape[keep], fall), multiplier=2.0).encode("latin-1"))
         found = read_intensities(file)
         assert found.unit == "cd"
         assert (found.phi_deg[0], found.phi_deg[-1]) == (0, 360)
@@ -134,9 +127,8 @@ def test_ies(tmp_path: Path) -> None:
             column = [np.interp(-azimuth % 360, found.phi_deg, row) for row in found.values]
             assert column == pytest.approx(200 * value * fall, rel=1e-4), (kind, azimuth)
     side = np.linspace(90, 270, 13)
-    (tmp_path / "side.ies").write_text(
-        lm63(theta, side, np.outer(1 + 0.5 * np.sin(np.radians(side)), fall)), encoding="latin-1"
-    )
+    lobe = 1 + 0.5 * np.sin(np.radians(side))
+    (tmp_path / "side.ies").write_text(lm63(theta, side, np.outer(lobe, fall)), encoding="latin-1")
     found = read_intensities(tmp_path / "side.ies")
     assert np.interp(360 - 30.0, found.phi_deg, found.values[0]) == pytest.approx(1.25, rel=1e-5)
     assert np.interp(270.0, found.phi_deg, found.values[0]) == pytest.approx(1.5, rel=1e-5)
@@ -153,9 +145,8 @@ def test_ies(tmp_path: Path) -> None:
 )
 def test_factors_of_ies(first: str, factor: float, tmp_path: Path) -> None:
     """The second number of the ballast's line was a factor until 1995; now it says how the file was made."""
-    (tmp_path / "a.ies").write_text(
-        lm63(np.array([0, 90]), np.array([0]), np.ones((1, 2)), first, 3.0, 0.9), encoding="latin-1"
-    )
+    text = lm63(np.array([0, 90]), np.array([0]), np.ones((1, 2)), first, 3.0, 0.9)
+    (tmp_path / "a.ies").write_text(text, encoding="latin-1")
     assert read_intensities(tmp_path / "a.ies").values == pytest.approx(3.0 * factor)
 
 
@@ -222,6 +213,5 @@ def test_candela_to_watt(tmp_path: Path) -> None:
         ({"wavelength_nm": 555.0}, 683.0),
         ({}, 683 * 0.99495),  # V of 550 nm
     ):
-        power = mi.load_dict({**lamp, **spectrum}).power()
-        assert power == pytest.approx(400 * np.pi / efficacy, rel=1e-3)
+        assert mi.load_dict({**lamp, **spectrum}).power() == pytest.approx(400 * np.pi / efficacy, rel=1e-3)
     assert mi.load_dict({**lamp, "power": 2.0, "wavelength_nm": 900.0}).power() == 2.0

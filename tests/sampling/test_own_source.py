@@ -92,8 +92,7 @@ def test_gradient(x: float) -> None:
     """Of the share of the light, π W, with what the rim takes; 3 errors of 3 numbers: false alarms 0.8 %."""
     here = scene(x=x)
     assert {"lamp.x", "lamp.y", "lamp.z"} <= set(mistray.optimize.parameters(here))
-    metric = path_power(here, "straight shot", rays=200_000)
-    g = mistray.gradient(metric, mi.traverse(here), keys=["lamp.[xyz]"])
+    g = mistray.gradient(path_power(here, "straight shot", rays=200_000), mi.traverse(here), keys=["lamp.[xyz]"])
     exact = {
         "lamp.x": (through_hole(x + 1e-3) - through_hole(x - 1e-3)) / 2e-3,
         "lamp.y": 0.0,

@@ -51,55 +51,39 @@ def spot(distance: float, intensity: float, beam: float, cutoff: float) -> float
 
 BALL = {"type": "sphere", "bsdf": BLACK}
 AT = mi.ScalarTransform4f().look_at([0, 0, -30], [0, 0, 0], [0, 1, 0])
+SPOT = {"type": "spot", "to_world": AT, "intensity": WATTS}
 CASES: dict[str, tuple[dict[str, Any], float]] = {
     "point": ({"type": "point_source", "z": -20.0, "power": 3.0}, 3 * cone(20.0) / (4 * np.pi)),
     "point far away": ({"type": "point_source", "z": -1e9, "intensity": 2.0}, 2 * np.pi * (RADIUS / 1e9) ** 2),
     "cone": ({"type": "point_source", "z": -500.0, "half_angle_deg": 30.0, "intensity": 2.0}, 2 * cone(500.0)),
-    "power of the cosine": (
-        {"type": "point_source", "z": -20.0, "exponent": 5.0, "intensity": 2.0},
-        2 * 2 * np.pi / 6 * (1 - (20 / np.hypot(20, RADIUS)) ** 6),
-    ),
-    "disc": (
-        {"type": "surface_source", "z": -100.0, "radius": 30.0, "radiance": 2.0},
-        2 * np.pi**2 * 900 * discs(100, 30),
-    ),
+    "power of the cosine": ({"type": "point_source", "z": -20.0, "exponent": 5.0, "intensity": 2.0},
+                            2 * 2 * np.pi / 6 * (1 - (20 / np.hypot(20, RADIUS)) ** 6)),
+    "disc": ({"type": "surface_source", "z": -100.0, "radius": 30.0, "radiance": 2.0},
+             2 * np.pi**2 * 900 * discs(100, 30)),
     "disc close by": ({"type": "surface_source", "z": -5.0, "radius": 9.0}, discs(5, 9)),
     "disc of 1 µm": ({"type": "surface_source", "z": -0.7, "radius": 1e-3}, discs(0.7, 1e-3)),
-    "ring": (
-        {"type": "surface_source", "z": -40.0, "radius": 30.0, "inner_radius": 20.0},
-        (900 * discs(40, 30) - 400 * discs(40, 20)) / 500,
-    ),
+    "ring": ({"type": "surface_source", "z": -40.0, "radius": 30.0, "inner_radius": 20.0},
+             (900 * discs(40, 30) - 400 * discs(40, 20)) / 500),
     "sun": ({"type": "distant_disc"}, np.pi * RADIUS**2),
     "wide disc": (
         {"type": "distant_disc", "diameter_deg": 80.0, "radiance": 3.0},
         # Radiance is uniform in sin² θ dφ: L ∫ cos θ d(sin² θ) = L 2/3 (1 - cos³ θ)
-        3 * np.pi * 2 / 3 * (1 - np.cos(np.radians(40)) ** 3) * np.pi * RADIUS**2,
-    ),
+        3 * np.pi * 2 / 3 * (1 - np.cos(np.radians(40)) ** 3) * np.pi * RADIUS**2),
     "sky": ({"type": "sky", "radiance": 2.0}, 2 * 2 * np.pi * np.pi * RADIUS**2),
-    "part of the sky": (
-        {"type": "sky", "half_angle_deg": 20.0},
-        np.pi * np.sin(np.radians(20)) ** 2 * np.pi * RADIUS**2,
-    ),
+    "part of the sky": ({"type": "sky", "half_angle_deg": 20.0},
+                        np.pi * np.sin(np.radians(20)) ** 2 * np.pi * RADIUS**2),
     "stock point": ({"type": "point", "position": [0, 0, -20], "intensity": WATTS}, 2 * cone(20.0)),
-    "stock spot": (
-        {"type": "spot", "to_world": AT, "intensity": WATTS, "cutoff_angle": 25.0, "beam_width": 10.0},
-        spot(30.0, 2.0, 10.0, 25.0),
-    ),
-    "stock spot with an edge": (
-        {"type": "spot", "to_world": AT, "intensity": WATTS, "cutoff_angle": 4.0, "beam_width": 4.0},
-        4 * np.pi * (1 - np.cos(np.radians(4.0))),
-    ),
-    "stock spot that fades from its axis": (
-        {"type": "spot", "to_world": AT, "intensity": WATTS, "cutoff_angle": 25.0, "beam_width": 0.0},
-        spot(30.0, 2.0, 0.0, 25.0),
-    ),
+    "stock spot": ({**SPOT, "cutoff_angle": 25.0, "beam_width": 10.0}, spot(30.0, 2.0, 10.0, 25.0)),
+    "stock spot with an edge": ({**SPOT, "cutoff_angle": 4.0, "beam_width": 4.0},
+                                4 * np.pi * (1 - np.cos(np.radians(4.0)))),
+    "stock spot that fades from its axis": ({**SPOT, "cutoff_angle": 25.0, "beam_width": 0.0},
+                                            spot(30.0, 2.0, 0.0, 25.0)),
     "stock sky": ({"type": "constant", "radiance": WATTS}, 2 * 2 * np.pi * np.pi * RADIUS**2),
     "stock beam": ({"type": "directional", "direction": [0, 0, 1], "irradiance": WATTS}, 2 * np.pi * RADIUS**2),
     "stock area": (
         {**BALL, "center": [0, 0, -100], "radius": 30.0, "emitter": {"type": "area", "radiance": WATTS}},
         # A Lambertian ball has the irradiance of a point: π L (R/r)² cos θ, and cos θ dA / r² = dΩ
-        np.pi * 2 * 900 * cone(100.0),
-    ),
+        np.pi * 2 * 900 * cone(100.0)),
 }  # fmt: skip
 
 
@@ -109,8 +93,7 @@ def test_closed_forms(name: str, tube: bool) -> None:
     """Flux on the detector; 38 of them: false alarms 0.12 % in all."""
     lamp, exact = CASES[name]
     t = mistray.trace(lit(lamp, **({"tube": TUBE} if tube else {})), rays=60_000)
-    error = max(t.energy.detected_se_W, 1e-6 * exact)
-    assert_z(name, t.energy.detected_W, exact, error, false_alarm=3e-5)
+    assert_z(name, t.energy.detected_W, exact, max(t.energy.detected_se_W, 1e-6 * exact), false_alarm=3e-5)
     assert abs(t.energy.closure) < 1e-6
 
 
@@ -209,14 +192,11 @@ def test_the_sun_gaussian_beams_and_near_sources() -> None:
     here = lit({"type": "point_source", "z": -100.0})
     (source,) = scene_sources(here, field_deg=30.0, azimuth_deg=90.0)
     assert source.pivot + np.array([0, 0, -100]) == pytest.approx([100 * np.tan(np.radians(30)), 0, -100])
-    laser = lit({"type": "gaussian_beam", "z": -100.0, "waist_x": 0.1, "waist_y": 0.1})
-    (beam,) = scene_sources(laser, field_deg=30.0)
+    (beam,) = scene_sources(lit({"type": "gaussian_beam", "z": -100.0, "waist_x": 0.1, "waist_y": 0.1}), field_deg=30.0)
     assert beam.direction == pytest.approx([0, 0.5, np.sqrt(0.75)])
-    both = (
-        mistray.trace(here, rays=1000, field_mm=5.0),
-        mistray.trace(here, rays=1000, field_deg=np.degrees(np.arctan(-0.05))),
-    )
-    assert both[0].energy.detected_W == pytest.approx(both[1].energy.detected_W, rel=1e-5)
+    fields: tuple[dict[str, Any], ...] = {"field_mm": 5.0}, {"field_deg": np.degrees(np.arctan(-0.05))}
+    both = [mistray.trace(here, rays=1000, **field).energy.detected_W for field in fields]
+    assert both[0] == pytest.approx(both[1], rel=1e-5)
     for lamp in ({"type": "collimated", "radius": 1.0}, {"type": "point_source"}, {"type": "sky"}):
         with pytest.raises(mistray.MistrayError, match="degrees"):
             mistray.trace(lit(lamp), rays=1000, field_mm=1.0)
@@ -260,10 +240,8 @@ def test_small_suns_of_a_large_picture(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_picture_of_a_sky(tmp_path: Path) -> None:
     """A rough picture, by Mitsuba's envmap and by `sky`, as `path` renders it on a plate; false alarms 0.1 %."""
-    rng = np.random.default_rng(1)
-    picture = np.kron(rng.random((8, 16, 1)), np.ones((4, 4, 3))).astype(np.float32)
     file = str(tmp_path / "a sky.exr")
-    mi.Bitmap(picture).write(file)
+    mi.Bitmap(np.kron(np.random.default_rng(1).random((8, 16, 1)), np.ones((4, 4, 3))).astype(np.float32)).write(file)
     turned = mi.ScalarTransform4f().rotate([0, 0.6, 0.8], 40)
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}, "pixel_format": "luminance"}
     place, sensor = mi.ScalarTransform4f().rotate([0, 1, 0], 180), {"type": "irradiancemeter", "film": film}
@@ -272,9 +250,7 @@ def test_picture_of_a_sky(tmp_path: Path) -> None:
     around = {"type": "envmap", "filename": file, "scale": 2.0, "to_world": turned}
     path = mi.load_dict({"type": "path"})
     stock = lit(around, lid=lid, detector=plate)
-    rendered = [
-        float(np.array(mi.render(stock, spp=100_000, seed=seed, integrator=path)).ravel()[0]) for seed in range(4)
-    ]
+    rendered = [float(np.array(mi.render(stock, spp=100_000, seed=k, integrator=path)).ravel()[0]) for k in range(4)]
     for lamp in (around, {"type": "sky", "filename": file, "radiance": 2.0, "to_world": turned}):
         energy = mistray.trace(lit(lamp, lid=lid, detector=plate), rays=400_000).energy
         error = float(np.hypot(energy.detected_se_W / 100, np.std(rendered)))
@@ -331,11 +307,8 @@ def test_several_sources_of_scenes_and_calls() -> None:
     with pytest.raises(mistray.MistrayError, match="'sun'"):
         t.energy_of("sun")
     assert table.power_W.sum() == pytest.approx(t.energy.detected_W, rel=1e-9)
-    given = {
-        "type": "scene",
-        "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter()},
-        "own": {"type": "collimated", "radius": 1.0},
-    }
+    detector = {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter()}
+    given = {"type": "scene", "detector": detector, "own": {"type": "collimated", "radius": 1.0}}
     for sources, names in (
         ("point:0,0,-20,power=3", {"source"}),
         ({"type": "sky"}, {"source"}),
@@ -355,7 +328,7 @@ def test_several_sources_of_scenes_and_calls() -> None:
     assert energy.escaped_W + energy.detected_W == pytest.approx(0.96 * (1 + 0.04 + 0.04**2), rel=1e-5)
 
 
-SPOT = 8.0  # mm, radius of the light on the detector
+LIT_MM = 8.0  # radius of the light on the detector
 TURNS = [*(([0, 1, 0], angle) for angle in (0.0, 5.0, -12.0)), ([1, 0, 0], 30.0), ([1, 2, 3], 47.0), ([2, -1, 5], 171)]
 
 
@@ -374,7 +347,7 @@ def turned_scene(source: dict[str, Any], frame: mi.ScalarTransform4f) -> mi.Scen
 def test_a_turned_scene_has_the_same_light(half_angle_deg: float) -> None:
     """Uniform in solid angle, tan² θ is sec α - 1 on average; the error of the strata is 5 times below the 1e-3."""
     half_angle = np.radians(half_angle_deg)
-    distance = SPOT / np.tan(half_angle)
+    distance = LIT_MM / np.tan(half_angle)
     rms = distance * np.sqrt(2 * np.sin(half_angle / 2) ** 2 / np.cos(half_angle))
     source = {"type": "point_source", "z": -distance, "half_angle_deg": half_angle_deg}
     for axis, angle in TURNS:
@@ -432,7 +405,6 @@ def test_a_rough_axis_is_named() -> None:
         turned_scene({**source, "half_angle_deg": 1e-3}, turn)
 
 
-FILES = vectors.toml("tables.toml")["files of lamps"]
 METAL = {"type": "interface", "back": "Al"}
 BLOCK = {"type": "sphere", "center": [0, 0, 50], "radius": 5.0, "flip_normals": True, "bsdf": METAL}
 SHAPES = """
@@ -445,7 +417,7 @@ SHAPES = """
 @pytest.mark.parametrize("row", vectors.toml("plugin_refusals.toml")["sources"], ids=repr)
 def test_one_line(row: list[Any], tmp_path: Path) -> None:
     lamp, *words = row
-    for name, text in FILES.items():
+    for name, text in vectors.toml("tables.toml")["files of lamps"].items():
         (tmp_path / name).write_text(text)
     mi.Bitmap(np.zeros((4, 8, 3), dtype=np.float32)).write(str(tmp_path / "dark.exr"))
     kinds = ("csv", "dat", "ies", "exr")

@@ -28,7 +28,6 @@ GREY = {"type": "interface", "R": 0.25}
 WARM = {"type": "thermal", "temperature_K": 300.0, "parts": "detector = 0"}
 BAND_UM = (8.0, 12.0)
 
-
 L300 = band_radiance(300.0, *BAND_UM)
 FLAT = {"type": "asphere", "semi_diameter": 30.0, "z": -40.0}
 CASES: dict[str, tuple[dict[str, Any], float]] = {
@@ -81,14 +80,12 @@ def test_temperatures_by_name() -> None:
     }
     parts = "detector=0; *shield*=90; near*=80; part 1=400; shield_2=100"
     given = {"type": "scene", **rings}
-    text = f"thermal:temperature_K=300,band_nm=8000 12000,parts={parts}"
     given["detector"] = {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter()}
-    t = mistray.trace(mistray.load(given, text), rays=60_000)
+    t = mistray.trace(mistray.load(given, f"thermal:temperature_K=300,band_nm=8000 12000,parts={parts}"), rays=60_000)
     for (name, kelvin), (outer, inner) in zip(names.items(), sizes, strict=True):
         energy = t.energy_of(f"source:{name}")
-        assert energy.launched_W == pytest.approx(
-            2 * np.pi**2 * (outer**2 - inner**2) * band_radiance(kelvin, *BAND_UM), rel=1e-6
-        )
+        both_sides = 2 * np.pi**2 * (outer**2 - inner**2)
+        assert energy.launched_W == pytest.approx(both_sides * band_radiance(kelvin, *BAND_UM), rel=1e-6)
         exact = outer**2 * discs(20, outer) - inner**2 * discs(20, inner)
         exact *= np.pi**2 * band_radiance(kelvin, *BAND_UM)
         assert_z(name, energy.detected_W, exact, energy.detected_se_W, false_alarm=5e-4)
@@ -153,16 +150,14 @@ def test_beside_the_trace_from_the_detector(seed: int) -> None:
 )
 def test_points_are_even(shape: dict[str, Any]) -> None:
     """Over eight parts of a surface in x and y, each as its area; χ² with false alarms 0.1 % each."""
-    here = lit(BEAM, shape={**shape, "bsdf": BLACK})
-    table = SurfaceTable(here, 550.0)
+    table = SurfaceTable(lit(BEAM, shape={**shape, "bsdf": BLACK}), 550.0)
     rng, count = np.random.default_rng(1), 40_000
     k = table.ids.index("shape")
     p, _ = even_points(table, k, lambda: rng.random(count), count)
     # The same by uniform points with the weights of their areas: of a fine mesh, by its triangles
     mesh = table.shapes[k]
     assert area(table, k) == pytest.approx(float(np.array(mesh.surface_area()).ravel()[0]), rel=2e-3)
-    sample = mi.Point2f(*rng.random((2, 400_000)).astype(np.float32))
-    other = np.array(mesh.sample_position(0.0, sample).p).T
+    other = np.array(mesh.sample_position(0.0, mi.Point2f(*rng.random((2, 400_000)).astype(np.float32))).p).T
     edges = np.quantile(other[:, 0], np.linspace(0, 1, 9)[1:-1])
     found, expected = (np.bincount(np.searchsorted(edges, q[:, 0]), minlength=8) for q in (p, other))
     share = expected / expected.sum()
@@ -258,7 +253,6 @@ def cone_share(distance: float, size: float, angle: float, power: float) -> floa
 
 TWINS = ("place in y", "tilt about y", "height", "cone of a disc", "direction of the sun about y")  # of others above
 
-
 # They differ from another gradient by the axis or by a source that starts in the same way
 ALIKE = [one for one in GRADIENTS if one in TWINS or one.startswith(("disc", "screen", "beam")) or one.endswith("in y")]
 
@@ -287,14 +281,10 @@ def test_every_gradient_is_compared() -> None:
         if kind.__module__.startswith(module) and not kind.__subclasses__():
             found |= {(kind.__module__.removeprefix(module), key) for key in kind.differentiable}
     assert found == {(lamp["type"], key) for lamp, key, _ in GRADIENTS.values()}
-    sources = {kind for kind, _ in found}
-    assert sources == {"point_source", "surface_source", "gaussian_beam", "distant_disc"}
+    assert {kind for kind, _ in found} == {"point_source", "surface_source", "gaussian_beam", "distant_disc"}
     here = lit({"type": "sky"})  # as of the others
     with pytest.raises(mistray.MistrayError, match="lamp"):
         mistray.gradient(path_power(here, "straight shot", rays=1000), mi.traverse(here), keys=["lamp.*"])
-
-
-SUFFIXES = (".csv", ".parquet", ".dat")
 
 
 def rays(count: int = 500, known: bool = True) -> RaySet:
@@ -306,7 +296,7 @@ def rays(count: int = 500, known: bool = True) -> RaySet:
 
 
 @pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".dat"])
 def test_round_trip(suffix: str, known: bool, tmp_path: Path) -> None:
     given, file = rays(known=known), tmp_path / f"a lamp{suffix}"
     save_ray_set(file, given)
@@ -341,8 +331,7 @@ def test_zemax_file_by_hand(tmp_path: Path) -> None:
 def test_light_of_a_trace_goes_on(tmp_path: Path) -> None:
     """Rays at a plane, in a file, traced on: the image behind it is that of the whole trace. False alarms 0.1 %."""
     lamp = {"type": "surface_source", "radius": 2.0, "z": -30.0, "half_angle_deg": 20.0, "wavelength_nm": "450, 600"}
-    plane = lit(lamp, detector=square(200.0, 8))
-    t = mistray.trace(plane, rays=100_000)
+    t = mistray.trace(lit(lamp, detector=square(200.0, 8)), rays=100_000)
     file = tmp_path / "plane.csv"
     t.rays(n=None).to_csv(file, index=False)
     stop = {"type": "asphere", "semi_diameter": 300.0, "inner_semi_diameter": 4.0, "z": 10.0, "bsdf": BLACK}
@@ -456,7 +445,6 @@ class TestTM25:
 
 
 ONE = [[0, 0, 0, 0, 0, 1, 1]]
-NO_SUCH_TABLE = tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, tables=((500.0, 1.0),))
 
 
 @pytest.mark.parametrize(
@@ -477,7 +465,7 @@ NO_SUCH_TABLE = tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, table
         ("no_table.tm25ray", tm25(ONE, spectrum=3)),
         ("falling.tm25ray", tm25(ONE, spectrum=3, tables=((600.0, 1.0, 500.0, 1.0),))),
         ("negative.tm25ray", tm25(ONE, spectrum=3, tables=((500.0, -1.0, 600.0, 1.0),))),
-        ("no_such_table.tm25ray", NO_SUCH_TABLE),
+        ("no_such_table.tm25ray", tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, tables=((500.0, 1.0),))),
         ("no_directions.tm25ray", tm25(ONE, (1, 0, 1, 0, 0, 0, 0, 0))),
         ("no_flux.tm25ray", tm25([[0, 0, 0, 0, 0, 1]], (1, 1, 0, 0, 0, 0, 0, 0))),
         ("no_rays.tm25ray", tm25([])),

@@ -11,17 +11,14 @@ import mistray
 from mistray.analyses.pst.run import pst
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, VaneEdge, two_stage_baffle, vane_tube
 
-BLACK = Coating(R=0.0)
-PAINT = (Scatter("paint", {"reflectance": 0.3}, name="grey"),)
 ANGLES = range(0, 81, 4)
 
 
 def system(tube, without=()):
     """The tube with a detector in the place of its optic; `tube` is a `BaffleTube` or a `TwoStageBaffle`."""
     stages = (tube,) if hasattr(tube, "vanes") else (tube.outer, tube.inner)
-    shapes = tube.structures(coating=BLACK, scatter=PAINT)
-    unknown = set(without) - {shape.name for shape in shapes}
-    assert not unknown
+    shapes = tube.structures(coating=Coating(R=0.0), scatter=(Scatter("paint", {"reflectance": 0.3}, name="grey"),))
+    assert not (set(without) - {shape.name for shape in shapes})
     front, rear = stages[0], stages[-1]
     return Prescription(
         name="tube",
@@ -35,8 +32,7 @@ def system(tube, without=()):
 def scattered(prescription, field_deg, scatters=1, rays=20_000):
     """Power that meets the detector after scatter from a beam of this field angle, W, of about 2000 W."""
     scene = prescription.with_source(field_deg=field_deg).to_scene()
-    trace = mistray.trace(scene, rays=rays, max_scatters=scatters, max_reflections=0)
-    paths = trace.paths.to_pandas()
+    paths = mistray.trace(scene, rays=rays, max_scatters=scatters, max_reflections=0).paths.to_pandas()
     return paths.incident_W[paths.scatters > 0].sum()
 
 
@@ -67,8 +63,7 @@ def test_no_light_arrives_after_one_scatter_backwards():
     made = tube()
     found = pst(system(made).to_scene(), ANGLES, **options)
     np.testing.assert_array_equal(found.stray, 0)
-    inside = np.asarray(ANGLES) < made.direct_deg
-    assert ((found.value > 0) == inside).all()
+    assert ((found.value > 0) == (np.asarray(ANGLES) < made.direct_deg)).all()
     for k in range(2, len(made.vanes) + 1):
         spoiled = pst(system(made, without=(f"tube_vane_{k}",)).to_scene(), [50.0], cell_deg=70.0, **options)
         assert spoiled.stray[0] > 5 * spoiled.stray_se[0], f"without vane {k}"
@@ -79,8 +74,7 @@ def test_bevels_hide_and_square_or_round_edges_do_not():
     sharp = system(tube(edge=VaneEdge(thickness=0.6, bevel_deg=20.0)))
     options = {"rays": 200_000, "max_scatters": 1, "max_reflections": 0, "paths": False}
     np.testing.assert_array_equal(pst(sharp.to_scene(), ANGLES, **options).stray, 0)
-    square = system(tube(edge=VaneEdge(thickness=0.6)))
-    assert scattered(square, 40.0) > 1e-4
+    assert scattered(system(tube(edge=VaneEdge(thickness=0.6))), 40.0) > 1e-4
     light = []
     for radius in (0.1, 0.2):
         rounded = system(tube(edge=VaneEdge(thickness=0.6, bevel_deg=20.0, radius=radius)))
@@ -99,8 +93,7 @@ def test_four_scatters_through_two_stages():
     np.testing.assert_array_equal(pst(system(made).to_scene(), grid, max_scatters=3, **options).value, 0)
     deep = pst(system(made).to_scene(), grid, max_scatters=4, **options)
     assert (deep.value > 3 * deep.standard_error).any()
-    spoiled = system(made, without=("b_inner_vane_2",))
-    assert pst(spoiled.to_scene(), grid, max_scatters=3, **options).value.max() > 0
+    assert pst(system(made, without=("b_inner_vane_2",)).to_scene(), grid, max_scatters=3, **options).value.max() > 0
 
 
 @pytest.mark.parametrize(("name", "beyond_deg", "scatters"), [("baffle_tube", 23.5, 1), ("two_stage_baffle", 40.5, 3)])
@@ -109,8 +102,7 @@ def test_shipped_tubes_are_dark_where_the_lens_is_not_lit(name, beyond_deg, scat
     given = importlib.import_module(f"mistray.scenes.{name}.prescription").build()
     scene = replace(given, surfaces=tuple(replace(surface, scatter=()) for surface in given.surfaces)).to_scene()
     angles = np.arange(beyond_deg + 1, 82, 2)
-    dark = pst(scene, angles, rays=50_000, max_scatters=scatters, paths=False)
-    np.testing.assert_array_equal(dark.value, 0)
+    np.testing.assert_array_equal(pst(scene, angles, rays=50_000, max_scatters=scatters, paths=False).value, 0)
     assert pst(scene, angles, rays=50_000, max_scatters=scatters + 2, paths=False).value.max() > 0
 
 

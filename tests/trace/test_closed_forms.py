@@ -32,8 +32,7 @@ def assert_power(what: str, watt: float, expected: float, se: float = 0.0) -> No
 
 class TestPlates:
     def test_plate_transmits_and_returns_what_the_series_says(self) -> None:
-        scene = mistray.load("plate")
-        t = mistray.trace(scene, rays=4096, max_reflections=20, flux_threshold=1e-12)
+        t = mistray.trace(mistray.load("plate"), rays=4096, max_reflections=20, flux_threshold=1e-12)
         r = closed_forms.normal_reflectance(1, 1.5)
         transmitted, returned = closed_forms.plate(r)
         e = t.energy
@@ -69,9 +68,8 @@ class TestPlates:
     @pytest.mark.parametrize(("r", "t"), [(0.05, 0.9), (0.3, 0.7), (0.5, 0.5), (0.2, 0.1)])
     def test_plate_with_ideal_coatings(self, load_text, r: float, t: float) -> None:
         scene, _ = load_text(plates_text(1, R=r, T=t))
-        traced = mistray.trace(scene, rays=256, max_reflections=60, flux_threshold=1e-12)
         transmitted, returned = closed_forms.coated_plate(r, r, t1=t, t2=t)
-        e = traced.energy
+        e = mistray.trace(scene, rays=256, max_reflections=60, flux_threshold=1e-12).energy
         assert_power("T", e.detected_W / e.launched_W, transmitted)
         assert_power("R", e.escaped_W / e.launched_W, returned)
         absorbed = sum(watt for watt, _ in e.absorbed.values()) / e.launched_W
@@ -93,14 +91,10 @@ class TestPlates:
         table = tmp_path / "coating.csv"
         table.write_text("\n".join(lines), encoding="utf-8")
         scene, _ = load_text(plates_text(1, table=str(table)))
-        light, limits = (
-            {"field_deg": incidence_deg, "wavelength_nm": 550.0},
-            {"max_reflections": 40, "flux_threshold": 1e-12},
-        )
-        traced = mistray.trace(scene, rays=256, **light, **limits)
+        light = {"field_deg": incidence_deg, "wavelength_nm": 550.0}
         r, t, back = coating(incidence_deg)
         loop = 1 - back * r  # the front seen from inside is its back, the rear seen from inside its front
-        e = traced.energy
+        e = mistray.trace(scene, rays=256, **light, max_reflections=40, flux_threshold=1e-12).energy
         assert e.detected_W / e.launched_W == pytest.approx(t * t / loop, rel=1e-4)
         assert e.escaped_W / e.launched_W == pytest.approx(r + t * t * r / loop, rel=1e-3)
 
@@ -139,9 +133,8 @@ class TestSingletWindowDetector:
             assert row.power_W == pytest.approx(0.8 * row.incident_W, rel=ROUNDING)
         # A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3
         for pair, row in ten_ghosts.items():
-            scale = NARROW / 10.0
             radius = np.sqrt(2) * row.rms_radius_mm
-            expected = table[pair]["spot_radius_mm"] * scale
+            expected = table[pair]["spot_radius_mm"] * (NARROW / 10.0)
             se = np.sqrt(2) * row.rms_radius_se_mm
             assert_within(f"radius of ghost {pair}", radius, expected, se, relative=3e-3)
             assert se / radius < 1.5e-3
@@ -159,8 +152,7 @@ class TestSingletWindowDetector:
         z = 87.0 + closed_forms.back_focus(surfaces)[1]
         for ghost in closed_forms.paraxial_ghosts(surfaces, z, 0.2, NARROW):
             row = ten_ghosts[ghost.second, ghost.first]
-            history = ten_ghosts_trace.history(row.path_id, 4)
-            for points in history.rays:
+            for points in ten_ghosts_trace.history(row.path_id, 4).rays:
                 end, before = points[-1], points[-2]
                 slope = np.hypot(*(end - before)[:2]) / (end - before)[2]
                 slope *= np.sign(np.dot((end - before)[:2], end[:2]))
@@ -195,8 +187,7 @@ class TestGhostCounts:
             row = events[tuple(closed_forms.ghost_events(names, (second, first), "detector"))]
             assert row.kind == "ghost"
             assert row.rays == 64
-            transmissions = row.path.count("T")
-            power = self.R**2 * (1 - self.R) ** transmissions
+            power = self.R**2 * (1 - self.R) ** row.path.count("T")
             assert row.power_W / t.energy.launched_W == pytest.approx(power, rel=2e-6)
 
     @pytest.mark.parametrize(("surfaces", "reflections"), [(4, 4), (5, 4), (6, 4), (4, 6)])
@@ -290,9 +281,8 @@ def test_a_mirror_scatters_with_the_wavelength_of_its_medium(medium: str) -> Non
     rough = {"type": "harvey_shack", "rms_nm": 2.0, "l": 0.01, "s": -1.5}
     mirror = {"type": "interface", "front": medium, "R": 1.0, "model": rough}
     window = {"type": "interface", "back": medium, "R": 0.0, "T": 1.0}
-    lamp = {"type": "collimated", "radius": 1.0, "distance": 1.0, "wavelength_nm": 500.0}
     scene = lit(
-        lamp,
+        {"type": "collimated", "radius": 1.0, "distance": 1.0, "wavelength_nm": 500.0},
         detector={"type": "asphere", "semi_diameter": 20.0, "z": -5.0, "bsdf": BLACK, "sensor": meter()},
         window={"type": "asphere", "semi_diameter": 20.0, "bsdf": window},
         edge={"type": "frustum", "r0": 20.0, "z0": 0.0, "r1": 20.0, "z1": 5.0, "bsdf": BLACK | {"front": medium}},

@@ -12,12 +12,8 @@ from mistray.trace.paths import PathTable, path_table
 
 SURFACES = {"L1_front": GLASS, "L1_rear": GLASS, "L1_edge": EDGE, "barrel": STRUCTURE, "primary": REFLECTOR}
 SURFACES |= {"detector": SENSOR}
-DIRECT = [
-    "L1_front:T L1_rear:T detector:A",
-    "primary:R detector:A",
-    "L1_front:T L1_rear:T primary:R L1_edge:I detector:A",
-]
-DESIGN = design_of(SURFACES, *DIRECT)
+LENS = "L1_front:T L1_rear:T"
+DESIGN = design_of(SURFACES, f"{LENS} detector:A", "primary:R detector:A", f"{LENS} primary:R L1_edge:I detector:A")
 
 
 def facts(*lists: str) -> list[dict]:
@@ -26,12 +22,9 @@ def facts(*lists: str) -> list[dict]:
     return [{name: column[k] for name, column in columns.items()} for k in range(len(lists))]
 
 
-CLASSES = vectors.toml("path_classes.toml")
-
-
 def test_every_path_has_one_class() -> None:
     """Also where lists are filled up to the length of the longest: what stands there says nothing."""
-    lists = [(events, kind) for kind, listed in CLASSES.items() for events in listed]
+    lists = [(events, kind) for kind, listed in vectors.toml("path_classes.toml").items() for events in listed]
     for row, (events, kind) in zip(facts(*(events for events, _ in lists)), lists, strict=True):
         assert (row["kind"], row["events"]) == (kind, events)
         assert row["path"] == "".join(word[-1] for word in events.split())
@@ -66,8 +59,7 @@ class Hits:
 
 def table_of(lists: list[str], hits: Hits, unit: float = 2.0, rays: int = 32_000) -> PathTable:
     sums = np.array([hits.sums(hits.path == k) for k in range(len(lists))])
-    run = fake_run(SURFACES, decoded(*encode(lists, list(SURFACES)), sums), unit, rays)
-    return path_table([run])
+    return path_table([fake_run(SURFACES, decoded(*encode(lists, list(SURFACES)), sums), unit, rays)])
 
 
 WAYS = "T L1_rear:T, t L1_rear:T, i L1_rear:T, t barrel:r, i barrel:r, t barrel:j, i barrel:j, T barrel:j"
@@ -99,8 +91,7 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
         assert (row.x_mm, row.y_mm, row.rms_radius_mm) == pytest.approx((x, y, radius), rel=1e-9)
         by_batch = np.bincount(hits.batch[chosen], flux, BATCHES)
         assert row.power_se_W == pytest.approx(np.std(by_batch, ddof=1) * np.sqrt(BATCHES), rel=1e-9)
-        names = {LISTS[number] for number in numbers}
-        assert {table[path_id].events for path_id in row.path_ids} == names
+        assert {table[path_id].events for path_id in row.path_ids} == {LISTS[number] for number in numbers}
         assert row.path_id == min(row.path_ids)
     assert rows.percent.sum() == pytest.approx(100, rel=1e-12)
     # The error of a share knows that the path is in the whole: the spread of what is left of both
@@ -123,8 +114,7 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
     assert table[-1] == table[len(LISTS) - 1]
     assert table[2:4] == [table[2], table[3]]
     assert table[0].event_list == [("L1_front", "SpecTran"), ("L1_rear", "SpecTran"), ("detector", "Absorbed")]
-    aimed = next(row for row in table if row.path == "TjA")
-    assert aimed.event_list[1] == ("barrel", "ImpRefl")
+    assert next(row for row in table if row.path == "TjA").event_list[1] == ("barrel", "ImpRefl")
     with pytest.raises(IndexError, match="row 8 of a table of 8 paths"):
         table[8]
     with pytest.raises(MistrayError, match="path_id 8 does not exist"):
@@ -144,9 +134,8 @@ def test_the_error_of_a_sum() -> None:
     run = fake_run(SURFACES, decoded(*events, sums), 1.0, 3200)
     table = path_table([run])
     power, se = table.power([0, 1])
-    expected = 3 * np.sqrt(640 * (1 - 640 / 3200))
     assert power == pytest.approx(3 * 640, rel=1e-12)
-    assert se == pytest.approx(expected, rel=5 / np.sqrt(62))
+    assert se == pytest.approx(3 * np.sqrt(640 * (1 - 640 / 3200)), rel=5 / np.sqrt(62))
     assert se == pytest.approx(table[0].power_se_W + table[1].power_se_W, rel=1e-9)
     assert table.by_way().power_se_W[0] == pytest.approx(se, rel=1e-12)
     # 40 paths of equal numbers of hits: the linear sum of their errors would be 6 times too large

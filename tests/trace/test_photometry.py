@@ -61,8 +61,7 @@ def test_illuminant_a_with_power_outside_of_the_visible():
 @pytest.mark.quick
 def test_a_lamp_all_around():
     """1 W in all directions at 510 nm, V = 0.503: 683.002 V/(4π) cd, and at a distance of 10 mm that over 1e-4 m²."""
-    lamp = {"type": "point_source", "power": 1.0, "wavelength_nm": 510.0}
-    scene = lit(lamp, detector=DETECTOR | {"z": 20.0})
+    scene = lit({"type": "point_source", "power": 1.0, "wavelength_nm": 510.0}, detector=DETECTOR | {"z": 20.0})
     sky, size = FarField("sky", edges_deg=(120, 180)), 0.5
     probe = Probe("probe", (0, 0, 10), half_width=size, half_height=size, pixels=(1, 1))
     mistray.trace(scene, rays=100_000, recorders=[sky, probe], ledger=False)
@@ -82,8 +81,7 @@ def test_the_command_and_its_files(capsys, tmp_path):
     more = ["--far-field", "edges_deg=0 90 180", "--formats", "npy", "--out", tmp_path / "out"]
     record = json.loads(succeeds(capsys, *command, "--wavelength-nm", 555, *more))
     (flux,) = record["sections"]["photometric"]["luminous_flux"]
-    detected = record["fields"][0]["energy"]["detected_W"]
-    assert flux["luminous_flux_lm"] == pytest.approx(683.002 * detected, rel=1e-6)
+    assert flux["luminous_flux_lm"] == pytest.approx(683.002 * record["fields"][0]["energy"]["detected_W"], rel=1e-6)
     assert [row["unit"] for row in record["sections"]["photometric"]["photometric"]] == ["lx", "cd"]
     lux, watts = (read_irradiance(tmp_path / "out" / f"{name}_0deg.npy") for name in ("illuminance", "irradiance"))
     assert lux.unit == "lx"

@@ -85,17 +85,15 @@ class TestPilot:
 
     def test_scattered_light(self, load_scene) -> None:
         """Behind four plates at Brewster's angle a screen gets, and scatters, (1 + s)/2 instead of ((1 + r)/2)⁸."""
-        plates = plates_text(4)
         rough = interface_xml("air", "air", R=0.0, T=1.0).replace("</bsdf>", f"{ABG}</bsdf>")
         screen = shape_xml("asphere", "screen", 39.0, rough, semi_diameter=60.0)
-        scene = load_scene(plates.replace("</scene>", f"{screen}</scene>"))
+        scene = load_scene(plates_text(4).replace("</scene>", f"{screen}</scene>"))
         brewster = float(np.degrees(np.arctan(GLASS)))
         (run,) = prepare(scene, Settings(max_reflections=0, polarization="unpolarized"), Light(field_deg=brewster))
         scattered = [one for one in follow(run, 64)[0] if one.scattered]
         r_s, _ = fresnel(brewster)
-        truth = (1 + (1 - r_s) ** 8) / 2 / (1 - r_s / 2) ** 8
         found = sum(one.stokes for one in scattered) / sum(one.mean for one in scattered)
-        assert found == pytest.approx(truth, rel=1e-5)
+        assert found == pytest.approx((1 + (1 - r_s) ** 8) / 2 / (1 - r_s / 2) ** 8, rel=1e-5)
 
 
 class TestChoice:
@@ -111,9 +109,8 @@ class TestChoice:
     @pytest.mark.parametrize("films", [((2.3, 60.0), (2.3, 60.0)), ((2.3, 60.0), (1.38, 150.0))])
     def test_two_cubes(self, load_scene, films, azimuth_deg) -> None:
         """Films within glass at 45° that reflect one after the other, in planes at an angle φ: 1 + D₁ D₂ cos 2φ."""
-        glass = Face(0, 0, "T", GLASS)
         cubes = [Face(45, turn, "R", GLASS, (film,)) for turn, film in zip((0.0, azimuth_deg), films, strict=True)]
-        path = skew_path([glass, *cubes, Face(0, 0, "T", 1.0)])
+        path = skew_path([Face(0, 0, "T", GLASS), *cubes, Face(0, 0, "T", 1.0)])
         across = [np.cross(path.directions[k], path.directions[k + 1]) for k in (1, 2)]
         cosine = across[0] @ across[1] / np.linalg.norm(across[0]) / np.linalg.norm(across[1])
         d = [(r_s - r_p) / (r_s + r_p) for r_s, r_p in map(film_powers, films)]
@@ -159,12 +156,7 @@ def test_the_same_light_is_tested_once(monkeypatch) -> None:
     assert tests(field_deg=7.25)
     assert not tests(field_deg=7.25)
     assert not tests(field_deg=7.375)
-    for light in (
-        {"field_deg": -7.25},
-        {"field_deg": 7.25, "azimuth_deg": 90.0},
-        {"field_deg": 7.0},
-        {"field_deg": 8.0},
-    ):
+    for light in ({"field_deg": -7.25}, {"field_deg": 7.25, "azimuth_deg": 90.0}, {"field_deg": 7}, {"field_deg": 8}):
         assert tests(**light)
         assert not tests(**light)
     assert tests(field_deg=7.25, wavelength_nm=600.0)
@@ -215,8 +207,7 @@ def coated(request: pytest.FixtureRequest) -> tuple[Any, tuple[tuple[complex, fl
 
 def events_of(row: Any, ray: Any, stack: tuple[tuple[complex, float], ...]) -> tuple[list[Hit], np.ndarray]:
     """The hits of a recorded ray and what the glass leaves of the flux up to each of them and the detector."""
-    points = ray[["x_mm", "y_mm", "z_mm"]].to_numpy()
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    lengths = np.linalg.norm(np.diff(ray[["x_mm", "y_mm", "z_mm"]].to_numpy(), axis=0), axis=1)
     hits, left, medium = [], [], "air"
     for (name, kind), length in zip((event.split(":") for event in row.events.split()), lengths, strict=True):
         left.append(np.exp(-absorption_per_mm(medium, WAVELENGTH_NM) * length))
@@ -258,7 +249,6 @@ def test_flux_along_the_way(coated, polarization, field_deg) -> None:
             measured = ray.flux_W.to_numpy()
             expected = np.concatenate([[1.0], flux]) * left
             shares = expected[1:] / expected[:-1]
-            found = measured[2:] / measured[1:-1]
-            np.testing.assert_allclose(found, shares, rtol=1e-5, atol=4e-6, err_msg=row.events)
+            np.testing.assert_allclose(measured[2:] / measured[1:-1], shares, rtol=1e-5, atol=4e-6, err_msg=row.events)
             kinds.add(row.kind)
     assert kinds == {"direct", "ghost"}

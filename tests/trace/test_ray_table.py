@@ -73,8 +73,7 @@ class TestAll:
         few = triplet.rays(n=40).merge(everything, on=["path_id", "start_ray", "history", "x_mm", "y_mm", "flux_W"])
         assert (len(few), few.wavelength_nm_x.nunique()) == (40, 2)  # some of these, spread over sources and beam
         assert np.ptp(few.start_ray) > 0.7 * np.ptp(everything.start_ray)
-        norms = np.linalg.norm(everything[["dx", "dy", "dz"]].to_numpy(), axis=1)
-        np.testing.assert_allclose(norms, 1, rtol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(everything[["dx", "dy", "dz"]].to_numpy(), axis=1), 1, rtol=1e-12)
         height, width = triplet.irradiance.shape
         image = np.zeros((height, width))
         absorbs = triplet.energy.detected_W / everything.flux_W.sum()
@@ -87,8 +86,7 @@ class TestAll:
         whole = rough.rays(n=None)
         assert len(whole) == sum(row.rays for row in rough.paths)
         monkeypatch.setattr(ray_table, "CAPACITY", 1 << 11)
-        again = rough.rays(n=None)
-        assert_same_rays(whole, again)
+        assert_same_rays(whole, rough.rays(n=None))
         monkeypatch.setattr(ray_table, "CAPACITY", 2)
         with pytest.raises(mistray.MistrayError, match=r"a single start ray has .* flux_threshold"):
             rough.rays(n=None)
@@ -143,8 +141,7 @@ class TestSelection:
     )  # fmt: skip
     def test_against_pandas(self, triplet: Any, everything: pd.DataFrame, text: str, same: Callable[..., Any]) -> None:
         expected = everything[np.array(same(everything, triplet), dtype=bool)]
-        found = triplet.rays(text, n=None)
-        assert_same_rays(found, expected)
+        assert_same_rays(triplet.rays(text, n=None), expected)
 
     def test_events(self, triplet: Any) -> None:
         row = triplet.paths.select("kind = ghost")[0]
@@ -211,8 +208,7 @@ def test_a_scene_for_each_class(load_scene: Callable[[str], Any], kind: str) -> 
     table = t.paths.to_pandas()
     assert kind in set(table.kind)
     assert set(table.kind) <= {DIRECT, *STRAY_KINDS}
-    rays = t.rays(f'kind = "{kind}"', n=None)
-    assert len(rays) == table.rays[table.kind == kind].sum()
+    assert len(t.rays(f'kind = "{kind}"', n=None)) == table.rays[table.kind == kind].sum()
     assert table.groupby("kind").power_W.sum().sum() == pytest.approx(t.energy.detected_W, rel=1e-9)
     for row in t.paths:
         what = [name for _, name in row.event_list]
@@ -241,11 +237,9 @@ def test_air_between_mirrors_counts() -> None:
         "rear": {**flat(45.0, y3, 10.0, front=str(glass), back=str(air)), "part": "window"},
     }
     beam = {"type": "collimated", "radius": 1.0, "field_deg": 10.0, "distance": 20.0}
-    scene = lit(beam, **mirrors, **window, detector=square(15.0, y=y3, z=60.0))
-    t = mistray.trace(scene, rays=1000, max_reflections=0)
-    table = t.history(t.paths.find("detector")[0].path_id, 20).to_pandas()
+    t = mistray.trace(lit(beam, **mirrors, **window, detector=square(15.0, y=y3, z=60.0)), rays=1000, max_reflections=0)
     inside = np.arcsin(air * np.sin(angle) / glass)
-    for _, ray in table.groupby("ray"):
+    for _, ray in t.history(t.paths.find("detector")[0].path_id, 20).to_pandas().groupby("ray"):
         assert list(ray.surface)[1:] == ["first", "second", "front", "rear", "detector"]
         before = air * np.array([50.0 - ray.z_mm.iloc[0], 100.0, 90.0]) / np.cos(angle)
         expected = np.cumsum([0.0, *before, glass * 5.0 / np.cos(inside), air * 15.0 / np.cos(angle)])
@@ -272,8 +266,7 @@ def test_rays_of_the_ledger_filters_and_numbers(traced) -> None:
     nodes = traced.rays_at("*", n=None)
     missed = traced.energy.launched_W - nodes.flux_W[nodes.node == 1].sum()
     assert escaped.flux_W.sum() + missed == pytest.approx(traced.energy.escaped_W, rel=1e-5)
-    returned = traced.rays_at("returned", n=None)
-    assert len(returned) == (escaped.dz < 0).sum() > 0  # the light goes along z
+    assert len(traced.rays_at("returned", n=None)) == (escaped.dz < 0).sum() > 0  # the light goes along z
     table = traced.rays_at("window_front", "R(window_rear)", n=7.0)
     assert len(table) == 7
     for whole in (traced.rays, lambda n: traced.rays_at("escaped", n=n), lambda n: traced.sampled_rays(0, n)):
@@ -301,14 +294,13 @@ def test_the_flux_at_the_start_of_aimed_rays() -> None:
     rear = {**front, "z": 4.0, "bsdf": {"type": "interface", "front": "1.5"}}
     t = mistray.trace(lit(lamp, front=front, rear=rear, detector=square(20.0, z=60.0)), rays=4000)
     unit = t.energy.launched_W / t.rays_traced
-    sampled = t.sampled_rays(0, 5)[0]
     tables = [t.history(0, n=5).to_pandas(), t.rays(n=5, events=True), t.rays_at("front", n=5, events=True)]
     for flux in [table.flux_W[table.node == k].to_numpy() for table in tables for k in (0, 1)]:
         assert 0 < flux.min() < 0.1 * unit
     for table in tables:
         start, first = (table.flux_W[table.node == k].to_numpy() for k in (0, 1))
         np.testing.assert_allclose(start, first, rtol=1e-6)
-    for ray in sampled:
+    for ray in t.sampled_rays(0, 5)[0]:
         assert ray.flux_W[0] == pytest.approx(ray.flux_W[1], rel=1e-6)
 
 
@@ -357,11 +349,9 @@ def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
     for first, last in ((bright, bright + 1), near, (most // 4, most // 2)):
         columns, rows = zip(first * maps.grid, last * maps.grid, strict=True)
         x, y = (x0 + (x1 - x0) * np.array(columns) / width), (y0 + (y1 - y0) * np.array(rows) / height)
-        within = t.box(*x, *y)
-        expected = {by_events[row.events]: row.power_W for row in within}
         found = {path_id: m.within(columns, rows) for path_id, m in maps.paths.items()}
         found = {path_id: power for path_id, power in found.items() if power > 0}
-        assert found == pytest.approx(expected, rel=1e-5)
+        assert found == pytest.approx({by_events[row.events]: row.power_W for row in t.box(*x, *y)}, rel=1e-5)
         for path_id, power in found.items():
             m = maps.paths[path_id]
             codes = power_codes(m.power_W).astype(float)

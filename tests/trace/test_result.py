@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from fake_ledger import hit_sums
 from lit_detector import BLACK
-from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.scatter_scenes import bsdf_xml, placed_xml, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 
 import mistray
@@ -49,11 +49,8 @@ class TestMaps:
         se, direct_se, whole = (np.linalg.norm(one.apart, axis=-1) for one in (ghosts, direct, triplet.light))
         np.testing.assert_allclose(np.hypot(se, direct_se), whole, rtol=2e-2)
         assert not triplet.irradiance_of([])[0].any()
-        for groups, words in (
-            ([[99999]], "path_id 99999 does not exist"),
-            ([[0, 1], [1]], "path_id 1 is in two groups"),
-        ):
-            with pytest.raises(mistray.MistrayError, match=words):
+        for groups, why in (([[99999]], "path_id 99999 does not exist"), ([[0, 1], [1]], "path_id 1 is in two groups")):
+            with pytest.raises(mistray.MistrayError, match=why):
                 triplet.maps(groups)
 
     @pytest.mark.parametrize("turn_deg", [0, 90])
@@ -215,8 +212,7 @@ def test_wavelengths_with_weights(load_text) -> None:
     assert sum(row.power_W for row in t.paths) == pytest.approx(t.energy.detected_W, rel=1e-9)
     assert t.energy.launched_W == pytest.approx(np.pi, rel=1e-12)
     assert abs(t.energy.closure) < 1e-6
-    table = t.rays(n=10)
-    assert set(table.wavelength_nm) == {486.1, 656.3}
+    assert set(t.rays(n=10).wavelength_nm) == {486.1, 656.3}
     one = t.paths.find("p0_rear:R")[0]
     assert set(t.history(one.path_id, 3).to_pandas().wavelength_nm) == {one.wavelength_nm}
     total, _ = t.irradiance_of([row.path_id for row in t.paths])
@@ -314,8 +310,7 @@ class TestSplitBeam:
             x0, x1, y0, y1 = view.extent
             assert view.box(x0, x1, y0, y1).column("power_W").sum() == pytest.approx(view.energy.detected_W, rel=1e-12)
             assert set(view.rays(n=50).type) <= {"SpecTran", "SpecRefl"}
-            history = view.history(0, 2).to_pandas()
-            assert history.object.tolist()[-1] == name
+            assert view.history(0, 2).to_pandas().object.tolist()[-1] == name
 
 
 def test_wrong_and_missing_names(load_text) -> None:
@@ -340,22 +335,17 @@ def test_wrong_and_missing_names(load_text) -> None:
     assert mistray.ghosts(scene, rays=100, detector="back")[0.0].detectors == ["back"]
 
 
-def scatter_text() -> str:
-    """A beam on a Lambertian screen that reflects half of it, and two small discs that see it from one side."""
-    screen = scattering_xml([bsdf_xml("abg", A=0.1, B=1.0, g=0.0)], R=0.5, T=0.0)
-    shapes = [shape_xml("asphere", "screen", 0.0, screen, semi_diameter=3.0)]
-    for name, x, y, z in (("left", -6.0, 1.0, -8.0), ("right", 3.0, 0.0, -5.0)):
-        disc = shape_xml("asphere", name, z, sensor=True, semi_diameter=0.5)
-        shapes.append(disc.replace(f'<translate z="{z!r}"/>', f'<translate x="{x}" y="{y}" z="{z}"/>'))
-    return scene_text(*shapes, radius=0.01, distance=2.0)
-
-
 def test_light_is_aimed_at_each(load_text) -> None:
     """The flux on small discs from a point of a Lambertian screen: dΩ cos θ f. False alarms: 1 in 16,000 (4 SE)."""
-    t = mistray.trace(load_text(scatter_text())[0], rays=20_000, max_scatters=1)
+    places = {"left": (-6.0, 1.0, -8.0), "right": (3.0, 0.0, -5.0)}
+    screen = scattering_xml([bsdf_xml("abg", A=0.1, B=1.0, g=0.0)], R=0.5, T=0.0)
+    shapes = [shape_xml("asphere", "screen", 0.0, screen, semi_diameter=3.0)]
+    shapes += [placed_xml("asphere", name, at=at, pixels=64, semi_diameter=0.5) for name, at in places.items()]
+    text = scene_text(*shapes, radius=0.01, distance=2.0)
+    t = mistray.trace(load_text(text)[0], rays=20_000, max_scatters=1)
     launched = np.pi * 0.01**2
     bsdf = 0.5 * 0.1 / 2  # R A/(B + 1) of an ABg of g = 0
-    for name, at in (("left", (-6.0, 1.0, -8.0)), ("right", (3.0, 0.0, -5.0))):
+    for name, at in places.items():
         # Exact over the disc, by midpoints in polar coordinates
         r, phi = np.meshgrid((np.arange(200) + 0.5) / 400, (np.arange(200) + 0.5) * np.pi / 100)
         points = np.stack([at[0] + r * np.cos(phi), at[1] + r * np.sin(phi), np.full_like(r, at[2])], axis=-1)
@@ -384,10 +374,8 @@ def test_detectors_of_a_prescription(tmp_path) -> None:
         found = mistray.gradient(metric, mi.traverse(scene), keys=["splitter.bsdf.R"])
         assert found.value == pytest.approx(0.08, rel=1e-6)  # of the light of the source
         assert found.gradient["splitter.bsdf.R"] == pytest.approx(1.0, rel=1e-5)
-    for wrong, words in (
-        ((camera,), "2 shapes are called 'camera'"),
-        (((1, 2),), "must be a mistray.Detector, or several"),
-    ):
+    refused = [((camera,), "2 shapes are called 'camera'"), (((1, 2),), "must be a mistray.Detector, or several")]
+    for wrong, words in refused:
         with pytest.raises(mistray.MistrayError, match=words):
             replace(design, more_detectors=wrong)
 
@@ -413,8 +401,7 @@ def deviations(heavy: float, weight: float) -> tuple[np.ndarray, np.ndarray]:
     truth, every, given = EXPECTED + heavy * weight, [], []
     for _ in range(SEEDS):
         numbers = paths_of_a_kind(rng, heavy, weight)
-        judged = numbers.judged(np.zeros(ROWS, dtype=np.int64))
-        for columns, found in ((numbers.columns, every), (judged, given)):
+        for columns, found in ((numbers.columns, every), (numbers.judged(np.zeros(ROWS, dtype=np.int64)), given)):
             with np.errstate(divide="ignore"):
                 z = (columns["power_W"] - truth) / columns["power_se_W"]
             found.append(z[np.isfinite(z)])

@@ -29,6 +29,7 @@ def silent(count: int, share: float) -> dict[str, Any]:
 
 def test_what_is_told() -> None:
     """One line for each cause, with the worst surfaces first, or none."""
+    four = [AimedSurface(f"s{k}", 1000, 10 * k) for k in (3, 2, 1, 0)]
     for values, words in (
         (aimed(1000, 250), ()),
         (aimed(1000, 199), ("window 20 %",)),
@@ -38,10 +39,7 @@ def test_what_is_told() -> None:
         (aimed(1000, 1000, False), ("window",)),  # all land, so that the target is too small, unless it is the detector
         (aimed(1000, 1000), ()),
         (aimed(1000, 999, False), ()),
-        (
-            {"aiming": [AimedSurface(f"s{k}", 1000, 10 * k) for k in (3, 2, 1, 0)]},
-            ("s0 0 %, s1 1 %, s2 2 % and 1 more",),
-        ),
+        ({"aiming": four}, ("s0 0 %, s1 1 %, s2 2 % and 1 more",)),
         ({"rays": 0.099}, ("at least 0.1",)),
         ({"rays": 0.1}, ()),
         ({**aimed(1000, 500), "rays": 0.0}, ("at least 0.1",)),

@@ -111,13 +111,12 @@ def image(rays: int) -> list[dict[str, float]]:
         # Points that fill the stop evenly to its rim, as no square grid does
         d = np.tile(beams.field_direction(field), (EVEN_RAYS, 1))
         points = np.column_stack([beams.disc_points(EVEN_RAYS, shipped().stop.radius), np.zeros(EVEN_RAYS)])
-        even = _rms_um(replay(model, points - 0.3 * d, d, row.event_list, D_LINE_NM, first_hit=False))
         rows.append(
             {
                 "field_deg": field,
                 "rms_um": 1e3 * row.rms_radius_mm,
                 "rms_replayed_um": _rms_um(traced),
-                "rms_even_um": even,
+                "rms_even_um": _rms_um(replay(model, points - 0.3 * d, d, row.event_list, D_LINE_NM, first_hit=False)),
                 "rms_figure_um": figure["rms_um"],
                 "rays": row.rays,
                 "rays_replayed": int(traced.valid.sum()),
@@ -146,8 +145,7 @@ def image(rays: int) -> list[dict[str, float]]:
 def even_scene_irradiance(field_deg: float) -> float:
     """Relative irradiance of the image of an even scene where a chief ray lands: Σ |∂(direction cosines)/∂(place)| over
     points of the stop, each with the direction that reaches that place, by Newton's method in float64."""
-    rims = wide_open(barrel=False)
-    model = scene_xml.parse_scene(xml_text(rims))
+    model = scene_xml.parse_scene(xml_text(wide_open(barrel=False)))
     events = [*((name, "T") for name in FACES), ("detector", "A")]
     points = np.column_stack([beams.disc_points(EVEN_POINTS, shipped().stop.radius), np.zeros(EVEN_POINTS)])
 

@@ -19,9 +19,8 @@ def swept(rays: float, names: Collection[str] = ()) -> PstSweep:
     """The PST as the scene is and with the changes of these names, all without any."""
     given = read_configurations(STUDY)
     assert set(names) <= {one.name for one in given}
-    return sweep_pst(
-        "phone_camera_scatter", [one for one in given if not names or one.name in names], ANGLES_DEG, rays=rays
-    )
+    chosen = [one for one in given if not names or one.name in names]
+    return sweep_pst("phone_camera_scatter", chosen, ANGLES_DEG, rays=rays)
 
 
 def ratios(found: PstSweep) -> list[dict[str, Any]]:

@@ -11,9 +11,6 @@ from mistray.analysis import DiskSource, Objects, objects
 
 FILE = "phone_camera_objects.md"
 STUDY_RAYS = 1_000_000
-# Its Table 8: a disc of 3.083 mm, the semi-diameter of its dummy surface 5 mm in front of the window; its Table 6: ±45°
-SOURCE = DiskSource((0.0, 0.0, -5.749), 3.083, 20.0)
-VIEW_DEG = 45.0
 BEAM_RADIUS = 1.252  # of the study's beam, about the centre of the stop
 
 
@@ -47,8 +44,9 @@ def search(rays: int = STUDY_RAYS, total_reflection: bool = False) -> Objects:
     return objects(
         mistray.load("phone_camera"),
         rays=rays,
-        source=SOURCE,
-        view_half_angle_deg=VIEW_DEG,
+        # Its Table 8: the semi-diameter of its dummy surface 5 mm in front of the window; its Table 6: ±45°
+        source=DiskSource((0.0, 0.0, -5.749), 3.083, 20.0),
+        view_half_angle_deg=45.0,
         threshold=0.0,
         total_reflection=total_reflection,
     )
@@ -89,10 +87,9 @@ def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any
     estimates = objects(scene, rays=rays, source=beam, threshold=0.0).estimates()
     traced = mistray.trace(scene, field_deg=angle_deg, rays=trace_rays, max_scatters=1, max_reflections=0)
     table = traced.paths.to_pandas()
-    once = table[(table.scatters == 1) & (table.order == 0)]
     absorbed = 0.8  # of what meets the detector
     rows = []
-    for name, part in once.groupby("scatter_1"):
+    for name, part in table[(table.scatters == 1) & (table.order == 0)].groupby("scatter_1"):
         power, se = (value / absorbed for value in traced.paths.power(list(part.path_id)))
         own = estimates[estimates.id == name]
         rows.append(

@@ -75,8 +75,7 @@ def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) ->
     if not again:
         return
     frame = t.paths.to_pandas()
-    stray = list(frame.path_id[frame.kind != "direct"])
-    yield from pixels_of("pixel of paths", *t.irradiance_of(stray))
+    yield from pixels_of("pixel of paths", *t.irradiance_of(list(frame.path_id[frame.kind != "direct"])))
     x0, x1, y0, y1 = t.extent
     middle = t.box(0.4 * x0, 0.4 * x1, 0.4 * y0, 0.4 * y1).by_way()
     yield from (entry for entry in rows_of(middle, "box ") if "box power" in entry or "box percent" in entry)
@@ -96,8 +95,7 @@ def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settin
             if row.kind != "direct":
                 yield "ghost percent of stray", name, row.percent_of_stray, row.percent_of_stray_se
             if row.rays >= FEW:
-                density = row.normalised_rms_irradiance, row.normalised_rms_irradiance_se
-                yield "ghost normalised", name, *density
+                yield "ghost normalised", name, row.normalised_rms_irradiance, row.normalised_rms_irradiance_se
         one = report.summary(field)
         for name in ("stray_W", "ghost_to_signal", "stray_to_nominal"):
             yield estimate("ghost summary", f"{field:g} {name}", getattr(one, name))

@@ -7,8 +7,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "validation"
 
 
 def read(file: str, name: str) -> list[dict[str, str]]:
-    text = (DOCS / file).read_text(encoding="utf-8")
-    match = re.search(rf"<!-- {name} -->\n(.*?)<!-- end -->", text, re.DOTALL)
+    match = re.search(rf"<!-- {name} -->\n(.*?)<!-- end -->", (DOCS / file).read_text(encoding="utf-8"), re.DOTALL)
     assert match, f"{file} has no table '{name}'"
     lines = [[cell.strip() for cell in line.strip(" |").split(" |")] for line in match[1].strip().splitlines()]
     return [dict(zip(lines[0], cells, strict=True)) for cells in lines[2:]]

@@ -147,8 +147,7 @@ def test_focal_lengths_and_rays(file):
 
 @pytest.mark.parametrize("file", READ)
 def test_a_file_becomes_a_scene(file, tmp_path):
-    of = from_codev if file.endswith(".seq") else from_zemax
-    found = of(path_of(file))
+    found = (from_codev if file.endswith(".seq") else from_zemax)(path_of(file))
     found.to_xml(tmp_path / "lens.xml")
     text = (tmp_path / "lens.xml").read_text(encoding="utf-8")
     assert all(f'id="{surface.name}"' in text for surface in found.surfaces)
@@ -171,9 +170,8 @@ def test_polynomials_and_schmidt_plates():
     # F/1.3 Schmidt: with A as r⁴ the spot on the axis is some µm, with a sphere it is 0.1 mm
     radii = []
     for name in ("schmidt.seq", "schmidt_sph.seq"):
-        found = lens(name)
         y = np.linspace(0, 37.5, 16)
-        hits, _ = trace(found, np.stack([0 * y, y, 0 * y - 5], axis=1), np.tile([0.0, 0.0, 1.0], (16, 1)))
+        hits, _ = trace(lens(name), np.stack([0 * y, y, 0 * y - 5], axis=1), np.tile([0.0, 0.0, 1.0], (16, 1)))
         radii.append(float(np.sqrt(np.average(hits[-1][:, 1] ** 2, weights=y))))
     assert radii[0] < 0.01
     assert radii[1] > 10 * radii[0]
@@ -226,9 +224,8 @@ def straight(name: str, x: float, y: float) -> np.ndarray:
 
 def test_moves_folds_and_three_mirrors():
     """Plane dummies and plane mirrors, so that rays can be followed with a ruler. s = sin 45°."""
-    s = math.sqrt(0.5)
     # 100 along an axis that ADE 45 turns to +y, and back parallel by REV: the image lies 100 s higher
-    assert straight("tilt_test.seq", 2, 3) == pytest.approx([2, 3 - 100 * s, 0], abs=1e-9)
+    assert straight("tilt_test.seq", 2, 3) == pytest.approx([2, 3 - 100 * math.sqrt(0.5), 0], abs=1e-9)
     # Up by 2, along the turned axis to (0, 4, 5); down again to (0, 2, 10), and REV takes the 2 back
     assert straight("dec_rev_tilt_test.seq", 2, 3) == pytest.approx([2, 3, 0], abs=1e-8)
     # 25 up, 75 down, 100 along an axis of 30° up: (0, 0, 186.6), parallel again; a mirror at 45° there sends light to
@@ -312,8 +309,7 @@ def test_glasses_by_hand_and_those_that_rayoptics_does_not_have():
 
 def test_glasses_turns_back_focus_and_off_axis_parabolas():
     """zmax_55278: the file states its focal length, 52.24 mm, and the image stands at its focus."""
-    text = path_of("zmax_55278.zmx").read_text(encoding="utf-16")
-    assert "DBDT 0 55278 5.224E+01" in text
+    assert "DBDT 0 55278 5.224E+01" in path_of("zmax_55278.zmx").read_text(encoding="utf-16")
     found = lens("zmax_55278.zmx")
     assert first_order(found).efl == pytest.approx(52.24, abs=0.005)
     assert first_order(found).bfl == pytest.approx(found.rows[-2].thickness, rel=1e-8)
@@ -346,8 +342,7 @@ def test_glasses_turns_back_focus_and_off_axis_parabolas():
     y = np.linspace(-25, 25, 7)
     hits, _ = trace(found, np.stack([y / 2, y, 0 * y], axis=1), np.tile([0.0, 0.0, 1.0], (7, 1)))
     assert hits[-1] == pytest.approx(np.zeros((7, 3)), abs=1e-9)
-    axis = trace(found, [(0, 0, 0)], [(0, 0, 1)])[1]
-    assert abs(axis[-1, 0, 2]) == pytest.approx(1, abs=1e-12)
+    assert abs(trace(found, [(0, 0, 0)], [(0, 0, 1)])[1][-1, 0, 2]) == pytest.approx(1, abs=1e-12)
 
 
 @pytest.mark.parametrize(

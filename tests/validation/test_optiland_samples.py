@@ -2,7 +2,6 @@
 
 import inspect
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import peers
@@ -20,23 +19,18 @@ pytestmark = pytest.mark.validation
 OBJECTIVES = pytest.param("objectives", marks=pytest.mark.long)  # as many as all others together
 FILES = ("eyepieces", "infrared", "lithography", "microscopes", "miscellaneous", OBJECTIVES, "simple", "telescopes")
 
-
 # An image plane that the light meets from behind, which is no table of surfaces in the order of light
 NOT_BACK = ("Microscope20x",)
-
-
-def kinds(file: str) -> list[Any]:
-    samples = peers.optiland(f"samples.{file}")
-    found = [kind for _, kind in inspect.getmembers(samples, inspect.isclass) if kind.__module__ == samples.__name__]
-    assert found
-    return found
 
 
 @pytest.mark.parametrize("file", FILES)
 @pytest.mark.filterwarnings("ignore")
 def test_samples(file: str) -> None:
     """A lens that was closed to a system and given back has the same rays, too, and the same clear apertures."""
-    for kind in kinds(file):
+    samples = peers.optiland(f"samples.{file}")
+    kinds = [kind for _, kind in inspect.getmembers(samples, inspect.isclass) if kind.__module__ == samples.__name__]
+    assert kinds
+    for kind in kinds:
         optic = kind()
         nm, read = 1e3 * optic.primary_wavelength, from_optiland(optic)
         assert build(read).prescription.surfaces

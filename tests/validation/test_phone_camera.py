@@ -13,7 +13,6 @@ from mistray.optimize import relative_illumination
 pytestmark = pytest.mark.validation
 
 GHOST_RAYS = {0.0: 30_000, 5.0: 40_000, 10.0: 60_000}
-FAR_GHOST_RAYS = 150_000
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +27,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def ghosts(scene):
-    return {
-        field: phone_camera.ghost_table(scene, field, GHOST_RAYS.get(field, FAR_GHOST_RAYS))
-        for field in phone_camera.FIELDS_DEG
-    }
+    return {deg: phone_camera.ghost_table(scene, deg, GHOST_RAYS.get(deg, 150_000)) for deg in phone_camera.FIELDS_DEG}
 
 
 def test_spots_chief_rays_and_illumination(image):
@@ -57,9 +53,8 @@ def test_relative_illumination_of_the_metric_and_irradiance_on_axis():
     scene = phone_camera.wide_open(barrel=False).to_scene()
     on_axis = phone_camera.even_scene_irradiance(0.0)
     for field, chief in ((10.0, 0.8914), (15.0, 0.7937)):
-        metric = relative_illumination(
-            scene, field_deg=field, rays=20_000, wavelength_nm=phone_camera.D_LINE_NM, max_reflections=0
-        )
+        light = {"rays": 20_000, "wavelength_nm": phone_camera.D_LINE_NM, "max_reflections": 0}
+        metric = relative_illumination(scene, field_deg=field, **light)
         exact = phone_camera.even_scene_irradiance(field) / on_axis
         assert metric.value() == pytest.approx(exact, rel=2e-3)
         assert chief == pytest.approx(exact, rel=1.5e-2)

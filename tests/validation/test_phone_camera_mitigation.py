@@ -9,8 +9,6 @@ from validation.tables import read, value
 
 pytestmark = pytest.mark.validation
 
-RAYS = 3000
-PAGE = "phone_camera_mitigation.md"
 REPEATED = ("lenses R 2 to 0.25 %", "black bevels", "all cones to cylinders")
 
 
@@ -19,7 +17,7 @@ def written() -> dict[str, dict[int, tuple[float, float]]]:
     """Ratios of the page and their errors by change and angle; 0 stands for the image."""
     return {
         row["change"]: {0: value(row["image"])} | {angle: value(row[f"{angle}°"]) for angle in changed.ANGLES_DEG}
-        for row in read(PAGE, "changes")
+        for row in read("phone_camera_mitigation.md", "changes")
     }
 
 
@@ -64,7 +62,7 @@ def test_what_the_page_says_stands_in_its_table(rows):
 @pytest.mark.long
 def test_rows_of_the_page_come_again_and_no_wall_opens_a_gap(rows):
     """By 5 combined standard errors, and 2 % for errors that are themselves uncertain."""
-    found = changed.swept(RAYS, REPEATED)
+    found = changed.swept(3000, REPEATED)
     assert not any(found.gaps.values())
     assert not [warning for warning in found.warnings if "first meets" in warning]
     for row in changed.ratios(found):

@@ -141,8 +141,7 @@ def test_the_study_lies_below_our_single_scatter_and_the_barrel_takes_over_at_th
     implied = phone_camera_pst.implied()
     single = curve.curve("single_scatter")[0]
     for angle in (10, 16, 20, 22, 24):
-        ratio = implied.PST[angle] / single[int(angle / 2)]
-        assert 0.1 < ratio < 1.5
+        assert 0.1 < implied.PST[angle] / single[int(angle / 2)] < 1.5
     assert implied.PST[12] / implied.PST[4] == pytest.approx(0.55, abs=0.02)
     table = phone_camera_pst.main_causes(curve).set_index("angle")
     assert table.surface[4] == table.ours[4] == "window_front"

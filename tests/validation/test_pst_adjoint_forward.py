@@ -120,9 +120,7 @@ def check(name: str, adjoint: Pst, forward: Pst, case: Case) -> None:
     assert probability > FALSE_ALARM, f"{name}: χ² of {len(z)} numbers has the probability {probability:.1e}; {listed}"
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in CASES])
 @pytest.mark.parametrize("method", ["joined", "adjoint"])
 def test_scenes(name: str, method: str) -> None:
     """In both conventions; by chance a scene fails in 1.6 % (totals) and less than 1 % (classes) of the seeds."""

@@ -115,8 +115,7 @@ def test_paths_of_a_tracer_in_float64(number: int, tmp_path: Path) -> None:
     path, t = traced(number, tmp_path, rays=RAYS // 4)
     model = scene_xml.read_scene(path)
     (run,) = t.runs
-    lanes = np.arange(RAYS // 4, dtype=np.uint32)
-    origin, direction = run.start_rays(lanes)
+    origin, direction = run.start_rays(np.arange(RAYS // 4, dtype=np.uint32))
     unit = run.unit
 
     def ledger(start: np.ndarray) -> dict[str, float]:

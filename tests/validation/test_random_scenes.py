@@ -33,10 +33,6 @@ LIMIT_S, STUCK_S = 60, 600  # of the processor; of the clock, after which the pr
 NUDGE = 1e-5  # by which start rays are moved, in units of the scene's size, to see which paths hang on a rim
 
 
-def numbers(structure: int, count: int) -> Iterable[int]:
-    return range(structure, structure + count * STRUCTURES, STRUCTURES)
-
-
 def sampling_fault(t: Any) -> list[str]:
     """What was to be scattered less what scattered rays carry is 0 on average; wide limits for rare strong rays."""
     found = []
@@ -156,7 +152,7 @@ REFUSED = (
 
 
 def check(structure: int, count: int, folder: Path) -> Outcome:
-    outcome = run(numbers(structure, count), folder)
+    outcome = run(range(structure, structure + count * STRUCTURES, STRUCTURES), folder)
     assert not outcome.wrong, "\n".join(outcome.wrong)
     assert outcome.traced >= count / 2
     return outcome
