@@ -56,15 +56,8 @@ class Bowl:
         draw = self.noise * np.random.default_rng(number).standard_normal(len(y) + 1)
         away = y - self.centre
         merit = float(np.sum(self.width * away**2)) + draw[0] * float(np.linalg.norm(away))
-        return {
-            "merit": merit,
-            "merit_se": self.noise,
-            "slope": 2 * self.width * away + draw[1:],
-            "terms": {"bowl": merit},
-            "slopes": {},
-            "traced_seconds": 0.0,
-            "left_out": ["nothing"],
-        }
+        found = {"merit": merit, "merit_se": self.noise, "slope": 2 * self.width * away + draw[1:]}
+        return found | {"terms": {"bowl": merit}, "slopes": {}, "traced_seconds": 0.0, "left_out": ["nothing"]}
 
     def pieces(self, at: Evaluation) -> Pieces | None:
         none = np.zeros(0)
