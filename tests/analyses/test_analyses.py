@@ -186,13 +186,8 @@ def test_thermal_files(tmp_path: Path) -> None:
 HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
 
 
-@pytest.fixture(scope="module")
-def halo(load_scene):
-    return mistray.transfer(load_scene(paraboloid_text(HALO, detector=5.0)), rays=3000, pixel_mm=0.004)
-
-
-def test_curves_are_those_of_the_result(halo, monkeypatch):
-    (one,) = halo
+def test_curves_are_those_of_the_result(load_scene, monkeypatch):
+    (one,) = mistray.transfer(load_scene(paraboloid_text(HALO, detector=5.0)), rays=3000, pixel_mm=0.004)
     left, right = mtf_figure(one, "mirror").axes
     drawn = {line.get_label(): line.get_ydata() for line in left.lines}
     np.testing.assert_allclose(drawn["lens alone, tangential"], one.lens())
@@ -205,7 +200,6 @@ def test_curves_are_those_of_the_result(halo, monkeypatch):
     within, outside = ({line.get_label(): line.get_ydata() for line in axes.lines} for axes in rings)
     np.testing.assert_allclose(within["with stray light"] + outside["with stray light"], 1)
     # An image is drawn as far as the pupil resolves it
-    (one,) = halo
     monkeypatch.setattr("mistray.analyses.transfer.figures.WIDTHS", (1e5, 1e6))
     for axes in image_figure(one).axes[:2]:
         left, right, *_ = axes.images[0].get_extent()

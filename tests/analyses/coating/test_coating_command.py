@@ -7,7 +7,7 @@ import json_units
 import numpy as np
 import pytest
 import vectors
-from command_line import Captured, fails, succeeds
+from command_line import Captured, Patch, fails, succeeds
 from oracles.small_scenes import plates_text, write
 
 from mistray.coatings import CoatingTable, preset, spectrum
@@ -79,9 +79,7 @@ class TestCoating:
         assert sum(len(surface["names"]) for surface in answer["surfaces"]) >= 6
         assert {row["angle_deg"] for surface in answer["surfaces"] for row in surface["angles"]} == {0.0, 30.0}
 
-    def test_a_folder_whose_name_could_be_a_coating(
-        self, capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_folder_whose_name_could_be_a_coating(self, capsys: Captured, tmp_path: Path, monkeypatch: Patch) -> None:
         """Blanks, as between layers, or the ending of a table; the name of a preset is that of the preset."""
         for name in ("1.38 0.25w", "ar.csv", "bbar3"):
             (tmp_path / name).mkdir()

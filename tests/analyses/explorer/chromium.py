@@ -11,17 +11,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a page; install chromium")
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
     "--disable-background-networking", "--disable-sync", "--remote-debugging-pipe",
 )  # fmt: skip
-SOFTWARE_WEBGL = (
-    *(flag for flag in FLAGS if flag != "--disable-gpu"),
-    "--enable-unsafe-swiftshader",
-    "--use-angle=swiftshader",
-    "--hide-scrollbars",
-)
+SOFTWARE = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--hide-scrollbars")
+SOFTWARE_WEBGL = (*(flag for flag in FLAGS if flag != "--disable-gpu"), *SOFTWARE)
 SECONDS = 60  # for an answer
 
 
@@ -81,6 +80,20 @@ class Page:
         found = self.ask("Runtime.evaluate", expression=code, awaitPromise=True, returnByValue=True)
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
+
+    def like(self, scheme: str) -> None:
+        """Prefer light or dark colours."""
+        self.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def is_white(self) -> bool:
+        return bool(self.run("getComputedStyle(document.body).backgroundColor === 'rgb(255, 255, 255)'"))
+
+    def violations(self) -> list[tuple[str, str]]:
+        """What the rules of axe find: names of controls, texts of pictures, contrast, order of headings."""
+        axe = pytest.importorskip("axe_core_python.base", reason="no axe; pip install axe-core-python")
+        self.run(Path(axe.__file__).with_name("axe.min.js").read_text(encoding="utf-8") + "; 0")
+        found = self.run("axe.run({ exclude: ['svg > *'] })")  # a drawing is one picture
+        return [(one["id"], one["nodes"][0]["html"][:200]) for one in found["violations"]]
 
     def until(self, code: str, seconds: float = SECONDS) -> float:
         """Wait until an expression is true; seconds that took."""

@@ -5,21 +5,17 @@ import random
 import threading
 import time
 from contextlib import contextmanager
-from pathlib import Path
 from statistics import median
 
 import pytest
 import vectors
-from analyses.explorer.chromium import CHROMIUM, page
+from analyses.explorer.chromium import needs_chromium, page
 
 from mistray.analyses.explorer.explorer import Explorer
 from mistray.analyses.explorer.saving import SCENE_FILE, STUDY_FILE
 from mistray.analyses.explorer.server import serving
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open the page; install chromium"),
-]
+pytestmark = [pytest.mark.long, needs_chromium]
 ROOT = "document.querySelector('.mistray-explorer')"
 # Turns a control and comes back when the page has been drawn anew: milliseconds
 TURN = vectors.text("browser_turn.js")
@@ -57,18 +53,8 @@ def numbers(shown):
 
 
 def click(shown, selector, text=""):
-    shown.run(
-        f"[...document.querySelectorAll({json.dumps(selector)})]"
-        f".find((item) => item.textContent.includes({json.dumps(text)})).click()"
-    )
-
-
-def violations(shown):
-    """What the rules of axe for pages find: names of controls, texts of pictures, contrast, order of headings."""
-    axe = pytest.importorskip("axe_core_python.base", reason="no axe; pip install axe-core-python")
-    shown.run(Path(axe.__file__).with_name("axe.min.js").read_text(encoding="utf-8") + "; 0")
-    return shown.run("""axe.run({ exclude: ["svg > *"] }).then(
-        ({ violations }) => violations.map((one) => [one.id, one.impact, one.nodes[0].html.slice(0, 200)]))""")
+    found = f"[...document.querySelectorAll({json.dumps(selector)})]"
+    shown.run(f"{found}.find((item) => item.textContent.includes({json.dumps(text)})).click()")
 
 
 def until_traced(shown):
@@ -125,10 +111,9 @@ def test_ten_steps(tmp_path):
         until_traced(shown)
         assert numbers(shown) == bare
         for scheme in ("light", "dark"):
-            shown.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-            assert violations(shown) == []
-            white = shown.run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-            assert white == (scheme == "light")
+            shown.like(scheme)
+            assert shown.violations() == []
+            assert shown.is_white() == (scheme == "light")
         shown.open(shown.run("location.href"), 390, 844)  # and on a telephone
         shown.until("document.querySelector('table.paths tbody tr')")
         assert shown.run("document.documentElement.scrollWidth") <= 390
@@ -147,9 +132,8 @@ def test_twenty_moves(tmp_path):
             shown.until(f"{ROOT}.dataset.label === 'traced' && !{ROOT}.dataset.busy", 120)
             control = chance.choice(list(explorer.controls.values()))
             now = explorer.state[control.name]
-            place = (
-                chance.choice([c for c in control.choices if c != now]) if control.choices else chance.randrange(1001)
-            )
+            others = [choice for choice in control.choices if choice != now]
+            place = chance.choice(others) if others else chance.randrange(1001)
             began = time.monotonic()
             to_page = turn(shown, control.name, place)
             shown.until(f"{ROOT}.dataset.label === 'traced'", 60)

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -74,7 +75,6 @@ def test_a_coating_is_followed_within_what_the_sample_of_rays_knows(at_start):
     for path in traced["paths"][:8]:
         assert by_events[path["events"]] == pytest.approx(path["power_W"], rel=0.03)
     # Layers and wavelength together with a coating
-    part = next(name for name in at_start.controls if name.startswith("coating "))
     at_start.move({part: "mgf2_quarter_wave"})
     at_start.settle()
     estimate = at_start.move({"layers": 130.0, "wavelength": 600.0})
@@ -94,8 +94,7 @@ def test_a_field_between_two_that_are_known(at_start):
     view = at_start.move({"field": 1.0})
     assert view["label"] == "estimate"
     t = mistray.trace(mistray.load("singlet_window_detector"), rays=2000, field_deg=1.0, max_reflections=2)
-    stray = sum(row.power_W for row in t.paths if row.kind != "direct")
-    direct = sum(row.power_W for row in t.paths if row.kind == "direct")
+    stray, direct = (sum(row.power_W for row in t.paths if (row.kind == "direct") == own) for own in (False, True))
     for name, exact in (("stray_W", stray), ("direct_W", direct), ("ratio", stray / direct)):
         value, error = view[name]
         assert abs(value - exact) < 2 * error
@@ -211,10 +210,7 @@ def test_what_cannot_be_done_ahead_is_said_once():
 
 
 def test_a_trace_that_fails_is_over(at_start, monkeypatch):
-    def fails(*args, **light):
-        raise MistrayError("no light")
-
-    monkeypatch.setattr(module, "trace", fails)
+    monkeypatch.setattr(module, "trace", Mock(side_effect=MistrayError("no light")))
     at_start.move({"layers": 91.0})
     for work in (at_start.settle, at_start.prepare):
         with refused("no light"):

@@ -1,25 +1,28 @@
 """The page is served to who knows the address, the widget answers as it does, and what Save writes loses no file."""
 
-import builtins
 import http.client
 import json
 import shutil
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
 
 import pytest
 import vectors
-from analyses.explorer.chromium import CHROMIUM, page
+from analyses.explorer.chromium import needs_chromium, page
 from command_line import succeeds
+from refusals import refused
 
 import mistray
-from mistray import Explorer, MistrayError
+from mistray import Explorer
 from mistray.analyses.explorer.assets import asset
 from mistray.analyses.explorer.saving import SCENE_FILE, STUDY_FILE
 from mistray.analyses.explorer.server import LOOPBACK, MOST_BYTES, MOST_STRANGE, PageServer, serving
 from mistray.metrics.parameters import parameters
+
+JSON = {"Content-Type": "application/json"}
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +44,7 @@ def ask(server, method, path, body=None, **headers):
 
 def call(server, name, given=None, **headers):
     body = json.dumps({"call": name, "given": given or {}})
-    status, _, found = ask(
-        server, "POST", f"/{server.token}/call", body, **{"Content-Type": "application/json", **headers}
-    )
+    status, _, found = ask(server, "POST", f"/{server.token}/call", body, **JSON, **headers)
     return status, json.loads(found)
 
 
@@ -63,10 +64,10 @@ def test_the_page_and_its_files(server):
 
 def test_who_is_refused(server, explorer):
     """Without the token, from another host, or as a name of somebody else that was bent to this machine."""
-    token, json_type = server.token, {"Content-Type": "application/json"}
+    token = server.token
     for path in ("/", "", "/call", "/wrong/", f"/{token}", f"/{token}x/", f"/{token[:-1]}/", f"/wrong/{token}/",
                  f"/%2e%2e/{token}/", "/%C3%A4/"):  # fmt: skip
-        assert ask(server, "GET", path)[0] == ask(server, "POST", path, "{}", **json_type)[0] == 403, path
+        assert ask(server, "GET", path)[0] == ask(server, "POST", path, "{}", **JSON)[0] == 403, path
     for name in ("../call", "..%2f..%2fetc/passwd", "page.html", "explorer.py", "assets/", "call"):
         assert ask(server, "GET", f"/{token}/{name}")[0] == 404, name
     for host in ("evil.example", "127.0.0.1:1", "", "127.0.0.1"):
@@ -81,7 +82,7 @@ def test_who_is_refused(server, explorer):
     assert len(other.token) >= 32
     assert other.server_address[0] == LOOPBACK
     other.server_close()
-    with pytest.raises(MistrayError, match=str(server.port)):
+    with refused(str(server.port)):
         PageServer(explorer, server.port)  # which is taken
 
 
@@ -103,7 +104,7 @@ def test_bad_calls_other_kinds_and_sizes_are_refused(server):
                  '{"call": "__init__"}', '{"call": "move"}', '{"call": "move", "given": []}',
                  '{"call": "move", "given": {"values": []}}', '{"call": "move", "given": {"values": {"layers": NaN}}}',
                  '{"call": "detail", "given": {"events": {}}}', '{"call": "detail"}', b"\xff\xfe"):  # fmt: skip
-        status, _, found = ask(server, "POST", f"/{server.token}/call", body, **{"Content-Type": "application/json"})
+        status, _, found = ask(server, "POST", f"/{server.token}/call", body, **JSON)
         assert status == 400, body
         assert "\n" not in json.loads(found)["error"]
     # Of lengths that are none, and by a second host, nothing of the body is read
@@ -139,10 +140,7 @@ def test_connections_that_say_nothing(server):
     assert ask(server, "GET", f"/{server.token}/")[0] == 200
     kept.request("GET", f"/{server.token}/")
     assert kept.getresponse().status == 200
-    deadline = time.monotonic() + 10
-    while threading.active_count() > before + MOST_STRANGE + 2 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert threading.active_count() <= before + MOST_STRANGE + 2
+    assert until(lambda: threading.active_count() <= before + MOST_STRANGE + 2, 10)
     for one in (kept, *idle):
         one.close()
 
@@ -165,16 +163,18 @@ def widget(at_start):
         thread.join(30)
 
 
-def answer_to(widget, call):
-    """The answer to a call; its threads may send views of their own meanwhile."""
+def answer_to(widget, call, asked):
+    """The answer to a message; the widget's threads may send views of their own meanwhile."""
+    widget._handle_custom_msg({"id": call, **asked}, [])
     return next(sent for sent in widget.sent if sent.get("id") == call)
 
 
-def until(test, seconds=60):
-    began = time.monotonic()
-    while not test():
-        assert time.monotonic() - began < seconds
+def until(test, seconds):
+    """Wait until it is true, or the time is up."""
+    deadline = time.monotonic() + seconds
+    while not (done := test()) and time.monotonic() < deadline:
         time.sleep(0.02)
+    return done
 
 
 def test_messages_are_answered_and_traces_follow(widget, at_start):
@@ -182,17 +182,14 @@ def test_messages_are_answered_and_traces_follow(widget, at_start):
     widget._handle_custom_msg([1], [])  # which is none, is passed over
     assert widget.sent == []
     for asked in ({"call": "eval"}, {}, {"call": "move", "given": {"values": {"layers": "x"}}}):
-        widget._handle_custom_msg({"id": "3", **asked}, [])
-        assert "\n" not in answer_to(widget, "3")["error"]
+        assert "\n" not in answer_to(widget, "3", asked)["error"]
         widget.sent.clear()
-    widget._handle_custom_msg({"id": "1", "call": "page"}, [])
-    page = answer_to(widget, "1")["found"]
+    page = answer_to(widget, "1", {"call": "page"})["found"]
     assert {control["name"] for control in page["controls"]} == set(at_start.controls)
-    widget._handle_custom_msg({"id": "2", "call": "move", "given": {"values": {"layers": 90.0}}}, [])
-    moved = answer_to(widget, "2")["found"]
+    moved = answer_to(widget, "2", {"call": "move", "given": {"values": {"layers": 90.0}}})["found"]
     assert moved["label"] == "estimate"
-    until(lambda: any("view" in sent and sent["view"]["label"] == "traced"
-                      and sent["view"]["values"]["layers"] == 90.0 for sent in widget.sent))  # fmt: skip
+    assert until(lambda: any("view" in sent and sent["view"]["label"] == "traced"
+                             and sent["view"]["values"]["layers"] == 90.0 for sent in widget.sent), 60)  # fmt: skip
     json.dumps(widget.sent, allow_nan=False)
 
 
@@ -202,18 +199,11 @@ def test_the_explorer_shows_itself(at_start, monkeypatch):
     assert "application/vnd.jupyter.widget-view+json" in data
     at_start._widget.close()
     at_start._widget = None
-    real = builtins.__import__
-
-    def without(name, *others):
-        if name == "mistray.analyses.explorer.widget":
-            raise ImportError(name)
-        return real(name, *others)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "mistray.analyses.explorer.widget", None)
     assert "mistray[widget]" in at_start._repr_mimebundle_()["text/plain"]
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the widget; install chromium")
+@needs_chromium
 def test_the_front_end_speaks_with_a_model(at_start, tmp_path):
     with serving(at_start) as server, page(tmp_path / "profile") as shown:
         shown.open(server.address)
@@ -255,7 +245,7 @@ def test_the_scene_has_the_coatings_and_numbers_that_were_turned(saving, tmp_pat
 
 def test_nothing_is_replaced_but_its_own_files(saving, tmp_path):
     (tmp_path / SCENE_FILE).write_text("mine")
-    with pytest.raises(mistray.MistrayError, match=SCENE_FILE):
+    with refused(SCENE_FILE):
         saving.save_scene()
     assert (tmp_path / SCENE_FILE).read_text() == "mine"
     saving.saving.force = True
@@ -265,10 +255,10 @@ def test_nothing_is_replaced_but_its_own_files(saving, tmp_path):
     assert not list(tmp_path.glob(".*"))
     (tmp_path / STUDY_FILE).symlink_to(tmp_path / "nowhere")
     saving.move({"detector.bsdf.R": 0.1})
-    with pytest.raises(mistray.MistrayError, match=STUDY_FILE):
+    with refused(STUDY_FILE):
         saving.save_study()
     saving.saving.folder = tmp_path / SCENE_FILE
-    with pytest.raises(mistray.MistrayError, match=SCENE_FILE):
+    with refused(SCENE_FILE):
         saving.save_scene()
     saving.saving.folder = tmp_path / "new" / "folder"
     assert saving.save_scene().is_file()
@@ -277,7 +267,7 @@ def test_nothing_is_replaced_but_its_own_files(saving, tmp_path):
     other = Explorer(scene, field_deg=[0.0], rays=200)
     other.saving.folder, other.saving.force = tmp_path, True
     before = scene.read_bytes()
-    with pytest.raises(mistray.MistrayError, match="explored"):
+    with refused("explored"):
         other.save_scene()
     assert scene.read_bytes() == before
 
@@ -304,7 +294,7 @@ def test_names_of_any_kind(saving, tmp_path):
 
 def test_the_study_runs_on_both_scenes(saving, capsys):
     saving.move({"coating window": "bare"})
-    with pytest.raises(mistray.MistrayError, match="control"):
+    with refused("control"):
         saving.save_study()  # there is nothing to vary
     saving.move({"coating window": "bbar3", "layers": 105.0, "detector.bsdf.R": 0.15})
     scene, study = saving.save_scene(), saving.save_study()

@@ -3,13 +3,12 @@
 import base64
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import vectors
-from analyses.explorer.chromium import CHROMIUM, Page, page
+from analyses.explorer.chromium import Page, needs_chromium, page
 from analyses.fake_pst import fake_pst
 from analyses.fake_trace import ghosts_of, trace_at
 
@@ -22,10 +21,7 @@ from mistray.toolkit.pages.render import html_page
 from mistray.toolkit.typeset import power_of_ten
 
 WIDE, NARROW = 1300, 390  # pixels: a window, and a telephone
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a report; install chromium"),
-]
+pytestmark = [pytest.mark.long, needs_chromium]
 HELPERS = vectors.text("browser_helpers.js")
 # The panel of the first field; a box is drawn by the pointer or entered by its edges
 PANEL = vectors.text("browser_panel.js")
@@ -170,23 +166,19 @@ def test_a_report_of_a_pst(opened):
 
 def test_widths_and_accessibility(browser, opened):
     """Nothing is wider than its page; the rules of axe: landmarks, names of controls, contrast, order of headings."""
-    axe = pytest.importorskip("axe_core_python.base", reason="no axe; pip install axe-core-python")
-    rules = Path(axe.__file__).with_name("axe.min.js").read_text(encoding="utf-8")
     for name, width, scheme in (
         ("ghosts", WIDE, "light"), ("ghosts", NARROW, "light"), ("pst", WIDE, "light"), ("ghosts", WIDE, "dark"),
         ("pst", NARROW, "dark"),
     ):  # fmt: skip
-        browser.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        browser.like(scheme)
         run = opened(name, width)
         run(UNFOLDED)
         browser.until(READY)
         scrolled, shown = run("[document.documentElement.scrollWidth, document.documentElement.clientWidth]")
         assert scrolled <= shown <= width
         assert run(BESIDE) == []
-        assert (run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)") == (scheme == "light")
-        run(rules)
-        found = run("axe.run({ exclude: ['svg > *'] })")  # a drawing is one picture
-        assert [(one["id"], one["nodes"][0]["html"][:200]) for one in found["violations"]] == []
+        assert browser.is_white() == (scheme == "light")
+        assert browser.violations() == []
     browser.ask("Emulation.setEmulatedMedia", features=[])
 
 

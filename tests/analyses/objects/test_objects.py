@@ -30,6 +30,11 @@ def phone():
     return objects(mistray.load("phone_camera"), rays=RAYS)
 
 
+def table_of(load_scene, shape):
+    detector = placed_xml("asphere", "detector", at=(0.0, 0.0, 30.0), pixels=8, semi_diameter=1.0)
+    return SurfaceTable(load_scene(scatter_scene(beam_xml(1.0), shape, detector)), 550.0)
+
+
 def row(rows, name, side=None):
     (found,) = (entry for entry in rows if entry.id == name and side in (None, entry.side))
     return found
@@ -108,10 +113,8 @@ def test_openings_and_plates(load_scene):
     scene = load_scene(open_tube_text(1e-3, 1.0, 0.999))
     half = 35.0
     source = {"source": DiskSource((0.0, 0.0, -1e-3), 3.0, half)}
-    cone, near = (
-        objects(scene, rays=RAYS, **given).illumination("detector", "front")[0]
-        for given in ({"half_angle_deg": half}, source)
-    )
+    both = (objects(scene, rays=RAYS, **given) for given in ({"half_angle_deg": half}, source))
+    cone, near = (found.illumination("detector", "front")[0] for found in both)
     expected = np.pi * 0.999**2 * (1 + np.cos(np.radians(half))) / 2
     # A disc of three times the radius this near fills the cone everywhere but for 1e-3
     assert_z("cone and disc", [cone.value, near.value], expected, [cone.se, near.se], floor=2e-3 * expected)
@@ -231,11 +234,9 @@ def test_ray_controls(load_scene):
 
 
 def test_bad_arguments_are_one_line(phone):
+    both = {"field_deg": [1.0], "half_angle_deg": 3.0}
     each_refused(
-        (
-            lambda: objects(phone.scene, field_deg=[1.0], half_angle_deg=3.0),
-            "half_angle_deg and field_deg are given, two kinds of source",
-        ),
+        (lambda: objects(phone.scene, **both), "half_angle_deg and field_deg are given, two kinds of source"),
         (lambda: objects(phone.scene, detector="L1_front"), "'L1_front' is not a detector"),
         (lambda: phone.to_pandas("seen"), "there is no list 'seen'"),
         (lambda: phone.illumination("L9"), "'L9' has no side"),
@@ -273,15 +274,11 @@ def test_product_of_coaxial_discs_and_the_bsdf_in_any_orientation(load_scene):
     b0, length, slope = 2.0, 0.02, -1.5
     lobe = scattering_xml([bsdf_xml("harvey_shack", b0=b0, l=length, s=slope)], R=0.8, T=0.0, mirror=True)
     mirror = placed_xml("asphere", "mirror", lobe, facing=(0.3, 0.5, 1.0), semi_diameter=5.0)
-    detector = placed_xml("asphere", "detector", at=(0.0, 0.0, -20.0), pixels=8, semi_diameter=1.0)
-    scene = load_scene(scatter_scene(beam_xml(1.0), mirror, detector))
-    table = SurfaceTable(scene, 550.0)
+    table = table_of(load_scene, mirror)
     number = table.ids.index("mirror")
-    normal = np.array([0.3, 0.5, 1.0]) / np.linalg.norm([0.3, 0.5, 1.0])
-    rng = np.random.default_rng(1)
-    leaving = rng.normal(size=(50, 3))
-    leaving /= np.linalg.norm(leaving, axis=1, keepdims=True)
-    d = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
+    directions = np.array([[0.3, 0.5, 1.0], [0.1, -0.2, 1.0], *np.random.default_rng(1).normal(size=(50, 3))])
+    normal, d, *leaving = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    leaving = np.array(leaving)
     light = table, number, np.array([True]), d[None], normal[None], leaving[None]
     found = surface_bsdf(*light, np.ones((1, 50), dtype=bool))[0]
     specular = d - 2 * (d @ normal) * normal
@@ -353,8 +350,7 @@ AREAS = [
 def test_rings_of_a_hemisphere(load_scene):
     """Rings of a sphere have 2π R times their height along the axis (Archimedes), the outermost too."""
     dome = placed_xml("asphere", "dome", radius=5.0, semi_diameter=5.0)
-    detector = placed_xml("asphere", "detector", at=(0.0, 0.0, 30.0), pixels=8, semi_diameter=1.0)
-    table = SurfaceTable(load_scene(scatter_scene(beam_xml(1.0), dome, detector)), 550.0)
+    table = table_of(load_scene, dome)
     piece = table.pieces[table.ids.index("dome")]
     heights = 5.0 * np.sqrt(1 - np.arange(41) / 40)  # of the rims of rings of equal area across the axis
     np.testing.assert_allclose(piece.areas(40, 2).sum(axis=1), -2 * np.pi * 5.0 * np.diff(heights), rtol=1e-6)
@@ -364,8 +360,7 @@ def test_rings_of_a_hemisphere(load_scene):
 def test_patches_have_known_areas(load_scene, kind, numbers, area):
     """The areas add up to that of the surface, and uniform points fall into the patches in proportion to them."""
     shape = placed_xml(kind, "object", at=(1.0, 2.0, 3.0), facing=(0.2, 0.1, 1.0), **numbers)
-    detector = placed_xml("asphere", "detector", at=(0.0, 0.0, 30.0), pixels=8, semi_diameter=1.0)
-    table = SurfaceTable(load_scene(scatter_scene(beam_xml(1.0), shape, detector)), 550.0)
+    table = table_of(load_scene, shape)
     number = table.ids.index("object")
     patches = Patches.of(table, number, 200)
     assert patches.count == 25

@@ -1,6 +1,6 @@
 """Worked examples, reduced: two designs of coatings beside textbook ones, vanes that grow, walls that stay joined."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import mistray
 from mistray.analyses.optimize.reflectance_weights import reflectance_weights
 from mistray.analyses.optimize.study.variables import find_variables
 from mistray.coatings import preset
-from mistray.optimize import DesignStudy, Term, optimize, parameters, read_study
+from mistray.optimize import DesignStudy, optimize, parameters, read_study
 from mistray.scene.recoat import SharedCoating
 
 RAYS = 320
@@ -34,9 +34,9 @@ def reduced() -> Any:
 def found(script: Any) -> Any:
     """The three-layer preset on all surfaces, the same made a quarter too thick, and the design for each glass."""
     given = preset("bbar3")
-    thick = tuple(dataclasses.replace(layer, thickness_nm=1.25 * layer.thickness_nm) for layer in given.layers)
+    thick = tuple(replace(layer, thickness_nm=1.25 * layer.thickness_nm) for layer in given.layers)
     start = [SharedCoating("AR", given, script.SURFACES)]
-    wrong = [SharedCoating("AR", dataclasses.replace(given, layers=thick), script.SURFACES)]
+    wrong = [SharedCoating("AR", replace(given, layers=thick), script.SURFACES)]
     known = reflectance_weights(script.ghost_metric(start, script.SEARCH_NM, script.SEARCH_RAYS))
     designed = script.search(script.GLASSES, script.STARTS[3], known)
     return [
@@ -118,17 +118,10 @@ SIGMAS = 4.5
 def fewer_rays() -> DesignStudy:
     """The study of the example with few rays and steps."""
     full = read_study(EXAMPLES / "baffle_vanes.toml")
-
-    def fewer(term: Term) -> Term:
-        return dataclasses.replace(term, traced={**term.traced, "rays": VANE_RAYS[term.name]})
-
+    terms = [replace(term, traced={**term.traced, "rays": VANE_RAYS[term.name]}) for term in full.terms]
     vanes, stop = full.variables
-    return dataclasses.replace(
-        full,
-        terms=tuple(fewer(term) for term in full.terms),
-        variables=(vanes, dataclasses.replace(stop, low=STOP_LOW_MM)),
-        optimizer=dataclasses.replace(full.optimizer, steps=STEPS, step_size=STEP_SIZE),
-    )
+    optimizer = replace(full.optimizer, steps=STEPS, step_size=STEP_SIZE)
+    return replace(full, terms=tuple(terms), variables=(vanes, replace(stop, low=STOP_LOW_MM)), optimizer=optimizer)
 
 
 def test_stray_light_falls_and_light_of_the_field_is_kept(tmp_path: Path) -> None:

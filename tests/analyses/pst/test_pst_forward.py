@@ -7,6 +7,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import pytest
+from command_line import Patch
 from lit_detector import lit
 from oracles.ideal_lens import cell_nodes, over_cells
 from oracles.interface import fresnel_unpolarised
@@ -15,9 +16,10 @@ from oracles.scatter_integrals import disc_to_disc
 from oracles.scatter_scenes import beam_xml, bsdf_xml, diffuser_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z, z_limit, z_score
+from refusals import each_refused, refused
 
 import mistray
-from mistray import MistrayError, Pst
+from mistray import Pst
 from mistray.analyses.pst import backward_run, forward
 from mistray.analyses.pst.forward import FIRST_RAYS
 from mistray.analyses.pst.progress import PstProgress
@@ -35,13 +37,13 @@ ANGLES = (0.0, 10.0, 20.0, 40.0, 60.0, 80.0)
 INDEX = 1.5
 
 
+def bare_text(bsdf: str | None = None) -> str:
+    return scene_text(shape_xml("asphere", "detector", 5.0, bsdf, sensor=True, half_width=2.0, half_height=1.0))
+
+
 @pytest.fixture(scope="module")
 def bare(load_scene):
     return load_scene(bare_text())
-
-
-def bare_text(bsdf: str | None = None) -> str:
-    return scene_text(shape_xml("asphere", "detector", 5.0, bsdf, sensor=True, half_width=2.0, half_height=1.0))
 
 
 def window_text() -> str:
@@ -84,10 +86,8 @@ class TestClosedForms:
         assert np.all(projected.standard_error < 0.01)
         # The mean over a flat detector is its value, and what it absorbs does not matter: R = 0, and R = 0.7
         grid = DirectionGrid.of([0.0, 40.0])
-        found, grey = (
-            forward_pst(scene, grid, rays=100_000, map_pixels=6)
-            for scene in (bare, load_scene(bare_text(interface_xml(R=0.7))))
-        )
+        scenes = bare, load_scene(bare_text(interface_xml(R=0.7)))
+        found, grey = (forward_pst(scene, grid, rays=100_000, map_pixels=6) for scene in scenes)
         assert found.maps.shape == (2, 2, 1, 6, 6)  # a square film
         np.testing.assert_allclose(found.maps[0].mean(axis=(1, 2, 3)), found.value, rtol=1e-6)
         value, se = found.irradiance(40.0)
@@ -179,12 +179,10 @@ class TestBudget:
         found = forward_pst(bare, DirectionGrid.of([0.0, 60.0]), rays=50_000, relative_error=0.0001)
         assert found.facts["unfinished"] == [[0.0, 0.0], [60.0, 0.0]]
         assert found.facts["rays_of_cell"] == [[50_000], [50_000]]
-        again, other = (
-            forward_pst(bare, found.grid, rays=5000, settings=Settings(rays=5000, seed=seed)).by_batch
-            for seed in (3, 4)
-        )
+        seeds = [{"rays": 5000, "settings": Settings(rays=5000, seed=seed)} for seed in (3, 4)]
+        again, other = (forward_pst(bare, found.grid, **how).by_batch for how in seeds)
         seen.clear()
-        same = forward_pst(bare, found.grid, rays=5000, settings=Settings(rays=5000, seed=3), progress=seen.append)
+        same = forward_pst(bare, found.grid, progress=seen.append, **seeds[0])
         assert seen
         assert np.isnan([step.worst_error for step in seen]).all(), "none is requested, none is known before the end"
         np.testing.assert_array_equal(same.by_batch, again)
@@ -235,16 +233,15 @@ def test_the_hull_holds_all_surfaces() -> None:
 
 
 def test_bad_input_is_one_line(bare) -> None:
-    for arguments, message in (
+    each_refused(
         ({"error_up_to_deg": 30.0}, "without relative_error"),
         ({"relative_error": 0.1, "error_up_to_deg": 5.0}, "no angle is as small"),
         ({"weights": [1.0]}, "weights are given without wavelength_nm"),
         ({"detector": "nobody"}, "'nobody' is not a detector"),
-    ):
-        with pytest.raises(MistrayError, match=message):
-            mistray.pst(bare, [10.0], method="forward", **arguments)
+        by=lambda arguments: mistray.pst(bare, [10.0], method="forward", **arguments),
+    )
     for centre, radius, message in (((0.0, 0.0), -1.0, "radius is -1 mm"), ((float("nan"), 0.0), 1.0, "centre is")):
-        with pytest.raises(MistrayError, match=f"entrance: {message}"):
+        with refused(f"entrance: {message}"):
             Entrance((0.0, *centre), radius)
 
 
@@ -290,14 +287,10 @@ def test_direct_light_is_weakened_in_front_of_the_detector(load_scene, material:
 def test_light_scattered_in_front_of_the_detector(load_scene) -> None:
     """The light of one and two scatter events by both directions alone and together; false alarm 1e-3."""
     scene = load_scene(immersed(SCATTERING))
-    found = {
-        method: mistray.pst(
-            scene, ANGLES_DEG, cell_deg=CELL_DEG, rays=1 << 18, method=method, max_scatters=2, seed=4
-        ).curve("multiple_scatter")
-        for method in ("adjoint", "forward", "joined")
-    }
-    forward, forward_se = found.pop("forward")
-    for value, se in found.values():
+    how = {"cell_deg": CELL_DEG, "rays": 1 << 18, "max_scatters": 2, "seed": 4}
+    runs = (mistray.pst(scene, ANGLES_DEG, method=method, **how) for method in ("forward", "adjoint", "joined"))
+    (forward, forward_se), *found = (run.curve("multiple_scatter") for run in runs)
+    for value, se in found:
         assert np.all(value > 0)
         assert np.all(np.abs(z_score(value, forward, np.hypot(se, forward_se))) < z_limit(2 * len(ANGLES_DEG)))
 
@@ -346,7 +339,7 @@ def test_a_bare_detector_from_the_detector() -> None:
 
 
 @pytest.mark.quick
-def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, monkeypatch: Patch) -> None:
     state, counts = tmp_path / "state.npz", {"save_state": 0, "paths": 0}
     for place, name in ((backward_run, "save_state"), (BackwardTrace, "paths")):
         call = getattr(place, name)
@@ -365,9 +358,7 @@ def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, mon
 
 
 @pytest.mark.quick
-def test_an_interrupt_saves_the_pass_that_it_waited_for(
-    window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_saves_the_pass_that_it_waited_for(window: Any, tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr(backward_run, "SAVING", -1.0)
     reports: list[PstProgress] = []
 

@@ -9,7 +9,7 @@ from oracles.scatter_scenes import beam_xml, diffuser_xml, placed_xml, scatter_s
 
 from mistray.analyses.sweep import page
 from mistray.analyses.sweep.edit_tables import pst_sweep_record, pst_sweep_text
-from mistray.sweeps import PstSweep, Sweep, rank_edits, sweep, sweep_pst
+from mistray.sweeps import PstSweep, rank_edits, sweep, sweep_pst
 
 RADIUS, LENGTH, LIFTED, ANGLE = 8.0, 20.0, 0.7, 20.0
 # Lifted, the sheet lets light pass beside it that falls on the detector; with less scatter there is less of the other
@@ -34,11 +34,6 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def pst(scene: Path) -> PstSweep:
     return sweep_pst(scene, EDITS, [0.0, ANGLE], rays=40_000, max_scatters=1, cell_deg=2.0)
-
-
-@pytest.fixture(scope="module")
-def fields(scene: Path) -> Sweep:
-    return sweep(scene, [0.0, ANGLE], 550.0, {"as it is": {}, **EDITS}, rays=20_000, max_scatters=1, cache=False)
 
 
 @pytest.mark.parametrize("name", ["lifted", "lifted and clear"])
@@ -72,8 +67,10 @@ def test_gain(pst: PstSweep) -> None:
     assert len(pst.warnings) == 4
 
 
-def test_fields(fields: Sweep) -> None:
+def test_fields(scene: Path) -> None:
     """Before and after in a sweep of fields that has the scene as it is."""
+    states = {"as it is": {}, **EDITS}
+    fields = sweep(scene, [0.0, ANGLE], 550.0, states, rays=20_000, max_scatters=1, cache=False)
     assert {name for name, gaps in fields.gaps.items() if gaps} == {"lifted", "lifted and clear"}
     (one,) = fields.entering("lifted and clear", ANGLE)
     assert one.surface == "detector"

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 import vectors
 from command_line import fails, succeeds
+from lit_detector import lit
 from oracles.object_scenes import common_area
 from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene, wall_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
@@ -61,11 +62,11 @@ class TestNumbers:
         for name, (r, t) in REFLECTANCES.items():
             rows = table[table.configuration == name]
             assert len(rows) == 4
+            direct = math.pi * t**2
             assert list(rows.launched_W) == pytest.approx([math.pi] * 4, rel=1e-6)
-            assert list(rows.direct_W) == pytest.approx([math.pi * t**2] * 4, rel=1e-5)
-            assert list(rows.stray_W) == pytest.approx([math.pi * t**2 * r**2] * 4, rel=1e-5)
+            exact = {"direct_W": direct, "stray_W": direct * r**2, "ghost_to_signal": r**2}
+            assert rows[[*exact]].to_numpy() == pytest.approx(np.tile([*exact.values()], (4, 1)), rel=1e-5)
             assert list(rows.ghost_W) == pytest.approx(list(rows.stray_W), rel=1e-9)
-            assert list(rows.ghost_to_signal) == pytest.approx([r**2] * 4, rel=1e-5)
             assert list(rows.detected_W) == pytest.approx(list(rows.direct_W + rows.stray_W), rel=1e-6)
             assert list(rows.structure_W) == [0.0] * 4
             assert set(rows.worst_path) == {"p0_rear → p0_front"}
@@ -205,18 +206,16 @@ class TestToml:
                 sweeps.read_configurations(path)
 
 
-NAMED = (("far", 3), ("near", 1))
-
-
 def numbers(scene) -> dict[str, np.ndarray]:
     params = mi.traverse(scene)
     keys = [key for key in list(params.keys()) if key.rpartition(".")[2] in ("x", "y", "z")]
     return {key: np.array(params[key]).ravel() for key in keys}
 
 
-@pytest.mark.parametrize(
-    ("scene", "key", "step"), [("baffle_tube", "tube_vane_3.z", 2.0), ("cooke_triplet", "L2.y", -0.25)]
-)
+MOVES = ("baffle_tube", "tube_vane_3.z", 2.0), ("cooke_triplet", "L2.y", -0.25)
+
+
+@pytest.mark.parametrize(("scene", "key", "step"), MOVES)
 def test_a_move(tmp_path, scene: str, key: str, step: float) -> None:
     """One surface, and a lens as a body: all its surfaces and edges go the same way, nothing else does."""
     before = numbers(mistray.load(scene))
@@ -241,8 +240,8 @@ def test_paint_and_a_value_from_the_shell(capsys, tmp_path) -> None:
 
 
 def test_one_of_a_study(capsys, tmp_path) -> None:
-    study = tmp_path / "states.toml"
-    far, near = (f'[[configuration]]\nname = "{n}"\nvalues = {{ "tube_vane_3.z" = {z} }}\n' for n, z in NAMED)
+    study, states = tmp_path / "states.toml", {"far": 3, "near": 1}
+    far, near = (f'[[configuration]]\nname = "{n}"\nvalues = {{ "tube_vane_3.z" = {z} }}\n' for n, z in states.items())
     study.write_text(far + near, encoding="utf-8")
     command = ["sweep", "baffle_tube", study, "--write-scene", tmp_path / "far.xml"]
     assert "did you mean 'far'?" in fails(capsys, *command, "--configuration", "farr")
@@ -275,6 +274,11 @@ def scene(tmp_path: Path) -> Path:
     return write(tmp_path, plate_and_wall())
 
 
+def transmittance(layers: list[complex], nm: list[float], cosine: float) -> float:
+    """Of unpolarised light into the plate at 550 nm."""
+    return float(np.mean(thinfilm.reflectance_transmittance(1.0, layers, nm, COVER, 550.0, cosine)[1]))
+
+
 def swept(scene: Path | mi.Scene, *configurations: sweeps.Configuration, **more: Any) -> sweeps.PstSweep:
     return sweeps.sweep_pst(scene, configurations, [FIELD], rays=RAYS, max_scatters=1, **more)
 
@@ -288,9 +292,7 @@ def test_nothing_changes_nothing(scene: Path) -> None:
     assert change.before_se > 0
     assert not any("no stray light" in text for text in found.warnings)
     # Without scatter and reflections there is none: 0 ± 0 is no measurement
-    dark = sweeps.sweep_pst(
-        scene, [sweeps.Configuration("nothing")], [FIELD], rays=1000, max_scatters=0, max_reflections=0
-    )
+    dark = sweeps.sweep_pst(scene, {"nothing": {}}, [FIELD], rays=1000, max_scatters=0, max_reflections=0)
     (text,) = [text for text in dark.warnings if "no stray light" in text]
     assert "10 deg" in text
 
@@ -323,11 +325,8 @@ def test_paint_coating_block_and_errors(scene: Path) -> None:
     change = found.changed("coat", FIELD, "direct")
     cosine = np.cos(np.radians(FIELD))
     n = complex(refractive_index("MgF2", 550.0))
-    coated, bare = (
-        float(np.mean(thinfilm.reflectance_transmittance(1.0, layers, nm, 1.5, 550.0, cosine)[1]))
-        for layers, nm in (([n], [99.64]), ([], []))
-    )
-    assert change.ratio == pytest.approx(coated / bare, rel=1e-4)
+    expected = transmittance([n], [99.64], cosine) / transmittance([], [], cosine)
+    assert change.ratio == pytest.approx(expected, rel=1e-4)
     # A disc before the detector takes all; one that stands aside nothing, and it widens the beam of forward rays
     covers = sweeps.Configuration("covers", block=[Structure("covers", 0.0, 19.0, 15.0, 19.0)])
     aside = sweeps.Configuration("aside", block=[Structure("aside", 50.0, 19.0, 51.0, 19.0)])
@@ -407,19 +406,14 @@ def test_a_loaded_scene(scene: Path) -> None:
     assert np.ravel(params[key]) == pytest.approx([0.4])
     params[key] = type(params[key])(0.2)
     params.update()
-    assert swept(loaded, sweeps.Configuration("back", {key: 0.4})).changed("back", FIELD).ratio == pytest.approx(
-        2, rel=1e-4
-    )
+    back = swept(loaded, sweeps.Configuration("back", {key: 0.4})).changed("back", FIELD)
+    assert back.ratio == pytest.approx(2, rel=1e-4)
     assert np.ravel(params[key]) == pytest.approx([0.2])
     with refused(r"configuration 'paint': 'wall.bsdf.paint.reflectance' of the scene is"):
         swept(loaded, paint)
     # A scene of a dict is moved and not painted
     place = mi.ScalarTransform4f().translate([0, 0, -20])
-    detector = {"type": "asphere", "semi_diameter": 3.0, "bsdf": {"type": "interface", "R": 0.0, "T": 0.0}}
-    detector["sensor"] = {"type": "irradiancemeter"}
-    light = {"type": "collimated", "radius": 3.0, "to_world": place}
-    given = {"type": "scene", "light": light, "detector": detector}
-    loaded = mistray.load(given)
+    loaded = lit({"type": "collimated", "radius": 3.0, "to_world": place})
     found = sweeps.sweep_pst(loaded, {"moved": {"detector.z": 1.0}}, [FIELD], rays=2000)
     assert found.changed("moved", FIELD, "direct").ratio == pytest.approx(1, abs=0.05)
     with refused("a scene of a dict cannot be painted"):
@@ -446,9 +440,7 @@ def through_the_hole(hole: float = HOLE, distance: float = DISTANCE, nm: float =
     values = []
     for angle in theta:
         d = distance * math.tan(math.asin(math.sin(angle) / COVER))  # between hole and detector, seen along the light
-        passed = float(
-            np.mean(thinfilm.reflectance_transmittance(1.0, [index], [nm], COVER, 550.0, math.cos(angle))[1])
-        )
+        passed = transmittance([index], [nm], math.cos(angle))
         values.append(passed * math.cos(angle) * common_area(d, hole, DETECTOR) / (math.pi * DETECTOR**2))
     return float(np.average(values, weights=np.diff(-np.cos(edges))))
 
@@ -459,15 +451,12 @@ def test_closed_forms(ringed: Path) -> None:
     value, error = found.pst[0]
     assert value == pytest.approx(through_the_hole(), abs=SIGMAS * error)
     expected = {
-        "ring.r0": ("block", 0.1, through_the_hole(hole=HOLE + 0.05) - through_the_hole(hole=HOLE - 0.05)),
-        "ring.z": (
-            "move", 0.1, through_the_hole(distance=DISTANCE - 0.05) - through_the_hole(distance=DISTANCE + 0.05)
-        ),
-        "plate.bsdf.coating.thickness_nm": (
-            "coat", 1.0, through_the_hole(nm=LAYER_NM + 0.5) - through_the_hole(nm=LAYER_NM - 0.5)
-        ),
-    }  # fmt: skip
-    for label, (method, step, change) in expected.items():
+        "ring.r0": ("block", 0.1, "hole", (HOLE + 0.05, HOLE - 0.05)),
+        "ring.z": ("move", 0.1, "distance", (DISTANCE - 0.05, DISTANCE + 0.05)),
+        "plate.bsdf.coating.thickness_nm": ("coat", 1.0, "nm", (LAYER_NM + 0.5, LAYER_NM - 0.5)),
+    }
+    for label, (method, step, name, ends) in expected.items():
+        change = through_the_hole(**{name: ends[0]}) - through_the_hole(**{name: ends[1]})
         edit = found[label]
         assert (edit.method, edit.step) == (method, step)
         derivative = edit.derivative[0]

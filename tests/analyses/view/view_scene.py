@@ -5,44 +5,29 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 from analyses.fake_trace import PARTS, FakeTrace
+from oracles.scatter_scenes import scatter_scene
+from oracles.small_scenes import interface_xml, shape_xml
 
 RADIUS, CONIC, A4 = 4.0, -0.5, 1e-3  # of L1_front
 EXACT = 1e-9  # mm, of points on their surface
 TILT = 30.0  # of L1_rear about y, degrees
 
 
-def mm(x=0.0, y=0.0, z=0.0):
-    return f'<transform name="to_world"><translate x="{x}" y="{y}" z="{z}"/></transform>'
+def placed(kind, name, z, bsdf, **numbers):
+    bsdf += f'<string name="part" value="{PARTS[name]}"/>'
+    return shape_xml(kind, name, z, bsdf, sensor=name == "detector", **numbers)
 
 
-def glass(front, back):
-    return f'<bsdf type="interface"><string name="front" value="{front}"/><string name="back" value="{back}"/></bsdf>'
-
-
-def part(name):
-    return f'<string name="part" value="{PARTS[name]}"/>'
-
-
-BLACK = '<bsdf type="interface"><float name="R" value="0"/></bsdf>'
-METER = (
-    '<sensor type="irradiancemeter"><film type="hdrfilm"><integer name="width" value="8"/>'
-    '<integer name="height" value="8"/><rfilter type="box"/></film></sensor>'
+BLACK = interface_xml(R=0.0)
+FRONT = {"radius": RADIUS, "conic": CONIC, "a4": A4, "semi_diameter": 2.0}
+SCENE = scatter_scene(
+    placed("asphere", "window_front", 0.0, interface_xml("air", "1.5"), half_width=3.0, half_height=2.0),
+    placed("asphere", "window_rear", 1.0, interface_xml("1.5"), radius=-20.0, half_width=3.0, half_height=2.0),
+    placed("asphere", "L1_front", 3.0, interface_xml("air", "1.6"), x=0.3, **FRONT),
+    placed("asphere", "L1_rear", 6.0, interface_xml("1.6"), radius=-9.0, semi_diameter=2.0, tilt_y=TILT),
+    placed("frustum", "stop_wall", 8.0, BLACK, r0=3.0, z0=0.0, r1=2.0, z1=4.0),
+    placed("asphere", "detector", 14.0, BLACK, half_width=2.0, half_height=1.5),
 )
-SCENE = f"""<scene version="3.0.0">
-<shape type="asphere" id="window_front"><float name="half_width" value="3"/><float name="half_height" value="2"/>
-{part("window_front")}{mm()}{glass("air", "1.5")}</shape>
-<shape type="asphere" id="window_rear"><float name="radius" value="-20"/><float name="half_width" value="3"/>
-<float name="half_height" value="2"/>{part("window_rear")}{mm(z=1.0)}{glass("1.5", "air")}</shape>
-<shape type="asphere" id="L1_front"><float name="radius" value="{RADIUS}"/><float name="conic" value="{CONIC}"/>
-<float name="a4" value="{A4}"/><float name="semi_diameter" value="2"/>
-{part("L1_front")}{mm(x=0.3, z=3.0)}{glass("air", "1.6")}</shape>
-<shape type="asphere" id="L1_rear"><float name="radius" value="-9"/><float name="semi_diameter" value="2"/>
-<float name="tilt_y" value="{TILT}"/>{part("L1_rear")}{mm(z=6.0)}{glass("1.6", "air")}</shape>
-<shape type="frustum" id="stop_wall"><float name="r0" value="3"/><float name="z0" value="0"/>
-<float name="r1" value="2"/><float name="z1" value="4"/>{part("stop_wall")}{mm(z=8.0)}{BLACK}</shape>
-<shape type="asphere" id="detector"><float name="half_width" value="2"/><float name="half_height" value="1.5"/>
-{mm(z=14.0)}{BLACK}{METER}</shape>
-</scene>"""
 
 
 def tilted(axis_tilt_deg):
