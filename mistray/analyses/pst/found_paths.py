@@ -53,7 +53,7 @@ class FoundPaths:
     hits : (2, p) float64
         Numbers of forward and of backward rays that found them.
     value, variance : (p,) float64
-        PST_normal of each pair and its variance.
+        PST_normal of each pair and its variance, as if all hits were independent.
     """
 
     trace: GridTrace
