@@ -262,27 +262,32 @@ def scatter_factors(
     def step(k: mi.UInt32, rate: mi.Float64, absorbed: mi.Float64, *state: mi.Vector3d) -> tuple[Any, ...]:
         active, last = k < rays.length, k + 1 == rays.length
         here, onward, code = base.point(k, active), active & ~last, rays.node(k, active).code
-        held, events, ahead, after = base.point(k + 1, onward) - here, [], [], []
+        held = base.point(k + 1, onward) - here
+        events: list[ReplayedEvent] = []
+        ahead: list[mi.Vector3d] = []
+        after: list[mi.Vector3d] = []
         for surfaces, p, d in zip(sides, state[::2], state[1::2], strict=True):
             event = surfaces.followed(p, d, dr.dot(here - p, d), code, rays.batch, active)
             out = dr.normalize(surfaces.to_local(held, event.s, onward))
             events.append(event)
             ahead.append(out - dr.cross(event.turn, out))
             after += [event.p, dr.normalize(dr.select(event.scattered & onward, held, event.heading))]
-        pairs = {name: [getattr(event, name) for event in events] for name in EVENT_VALUES} | {"ahead": ahead}
+        pairs: dict[str, list[Any]] = {name: [getattr(event, name) for event in events] for name in EVENT_VALUES}
         with dr.resume_grad():
-            leaves = {}
-            for name, (low, high) in pairs.items():
+            leaves: dict[str, Any] = {}
+            for name, (low, high) in {**pairs, "ahead": ahead}.items():
                 single = mi.Float if dr.depth_v(low) == 1 else mi.Vector3f
                 leaves[name] = single(0.5 * (low + high))
                 dr.enable_grad(leaves[name])
                 dr.set_grad(leaves[name], single((high - low) * per))
             moved = list(leaves.values())
-            out, (first, _) = leaves.pop("ahead"), events
-            event = ScatterEvent(first.s, first.batch, first.reflect, first.from_front, coating=first.coating, **leaves)
-            share = scatter.absorbed(event, active & last)
-            factor = scatter.log_kept(event, onward & ~first.scattered)
-            factor += scatter.log_flux(event, out, onward & first.scattered)
+            towards, first = leaves.pop("ahead"), events[0]
+            middle = ScatterEvent(
+                first.s, first.batch, first.reflect, first.from_front, coating=first.coating, **leaves
+            )
+            share = scatter.absorbed(middle, active & last)
+            factor = scatter.log_kept(middle, onward & ~first.scattered)
+            factor += scatter.log_flux(middle, towards, onward & first.scattered)
             factor += dr.log(dr.select(share > 0, share, 1))
             dr.enqueue(dr.ADMode.Forward, moved)
             dr.traverse(dr.ADMode.Forward)
