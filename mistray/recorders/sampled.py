@@ -45,8 +45,6 @@ class Sampled:
         """
         Create an estimate and its noise from sums over batches of start rays.
 
-        A single batch has no spread: its error is the value itself, as for a faint source that starts one ray.
-
         Parameters
         ----------
         by_batch : (…, b) float64
@@ -56,9 +54,7 @@ class Sampled:
         """
         # apart_b = (x_b - x n_b/n) √(B/(B - 1)), B being the number of batches with rays
         value = by_batch.sum(axis=-1)
-        used = int(np.count_nonzero(rays))
-        if used < 2:
-            return cls(value, by_batch.copy())
+        used = max(int(np.count_nonzero(rays)), 2)
         apart = np.multiply(value[..., None], -rays / rays.sum(), out=np.empty_like(by_batch))
         apart += by_batch
         apart *= np.sqrt(used / (used - 1))

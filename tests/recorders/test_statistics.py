@@ -20,7 +20,6 @@ from mistray.kernel.ray_tree import trace_tree
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.film import Pixels, spreads
 from mistray.recorders.ledger import DecodedPaths, Ledger
-from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.upload import upload
 
@@ -223,15 +222,6 @@ def even(rng: np.random.Generator, count: int) -> np.ndarray:
 def uneven(rng: np.random.Generator, count: int) -> np.ndarray:
     """One ray in a hundred brings ten times as much light as all others."""
     return np.where(rng.random(count) < 0.01, 1000.0, 1.0)
-
-
-def test_the_error_of_one_ray_is_its_value() -> None:
-    batches, rays = np.zeros((2, BATCHES)), np.zeros(BATCHES)
-    assert np.all(Sampled.of(batches, rays).se == 0)
-    batches[:, 3], rays[3] = (2.0, 5.0), 1
-    np.testing.assert_allclose(Sampled.of(batches, rays).se, (2.0, 5.0))
-    rays[4] = 1
-    np.testing.assert_allclose(Sampled.of(batches, rays).se, (2.0, 5.0))
 
 
 def test_rays_of_equal_weight_are_counted() -> None:
