@@ -210,8 +210,13 @@ class AllCells:
 
     @property
     def found(self) -> FoundByCell:
-        """Paths so far, PST_normal per unit weight of a start ray, (c,), and numbers of start rays, (c,), by cell."""
-        return self.total.found(self.unit, self.paths)
+        """Paths so far, PST_normal per unit weight of a start ray, and numbers of start rays, see `CellSums.found`."""
+        return self.total.found(self.unit, self.paths, self.unscattered)
+
+    @property
+    def by_pixel(self) -> np.ndarray:
+        """Contribution of each pixel to PST_normal so far, and its variance, see `CellSums.by_pixel`."""
+        return self.total.by_pixel(self.unit, self.unscattered)
 
     def begin(self) -> None:
         """Reset all sums to zero, and discard the paths."""

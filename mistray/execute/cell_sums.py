@@ -14,7 +14,7 @@ from mistray.recorders.tallies import CUTS, SEGMENTS
 from mistray.settings import BATCHES
 
 PATHS = "path_"  # prefix of the names of saved arrays of the paths
-FoundByCell = tuple[PathsByCell, np.ndarray, np.ndarray]  # paths, unit and start rays of each cell
+FoundByCell = tuple[PathsByCell, np.ndarray, np.ndarray]  # result of `CellSums.found`
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,18 +64,29 @@ class CellSums(Sums):
         """Return the largest contribution of one scattered ray to the PST_normal of each cell, (n, m)."""
         return self.of_ray(unit) * self.largest
 
-    def by_pixel(self, unit: np.ndarray) -> np.ndarray:
-        """Return each pixel's contribution to the PST_normal of a cell, and its variance, (2, n, m, pixels)."""
+    def by_pixel(self, unit: np.ndarray, unscattered: np.ndarray | None = None) -> np.ndarray:
+        """
+        Return each pixel's contribution to the PST_normal of a cell, and its variance, (2, n, m, pixels).
+
+        `unscattered` is the number of additional rays for unscattered light per start ray of each cell, (c,).
+        """
         assert self.maps is not None
-        # Variance of a sum over start rays: Σ w² - (Σ w)²/n
+        # Variance of a sum over start rays: Σ w² - (Σ w)²/n. Of two kinds of rays it is at most that of all together
         (weight, squares), of_ray = self.maps, self.of_ray(unit)[..., None]
         rays = np.maximum(self.rays.sum(axis=-1, keepdims=True), 1)
+        if unscattered is not None:
+            rays = rays * (1 + unscattered.reshape(*unit.shape, 1))
         return np.stack([of_ray * weight, of_ray**2 * np.maximum(squares - weight**2 / rays, 0)])
 
-    def found(self, unit: np.ndarray, paths: PathsByCell) -> FoundByCell:
-        """Return paths, PST_normal per unit weight of a start ray, (c,), and numbers of start rays, (c,), by cell."""
-        rays = np.broadcast_to(self.rays.sum(axis=-1), unit.shape)
-        return paths, self.of_ray(unit).ravel(), rays.ravel()
+    def found(self, unit: np.ndarray, paths: PathsByCell, unscattered: np.ndarray | None = None) -> FoundByCell:
+        """
+        Return paths, PST_normal per unit weight of a start ray, (c,), and numbers of start rays, (2, c), by cell.
+
+        The latter are those for unscattered light and for scattered light. `unscattered` is that of `by_pixel`: these
+        rays carry all unscattered light.
+        """
+        rays = np.broadcast_to(self.rays.sum(axis=-1), unit.shape).ravel()
+        return paths, self.of_ray(unit).ravel(), np.stack([rays if unscattered is None else rays * unscattered, rays])
 
     def arrays(self, paths: PathsByCell) -> dict[str, np.ndarray]:
         """Return the sums and `paths`, which may still be in device memory, as named arrays to be saved."""

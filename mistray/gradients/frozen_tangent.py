@@ -23,12 +23,14 @@ from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.replay import SegmentMedia
 from mistray.gradients.replay_surfaces import ReplaySurfaces
 from mistray.gradients.replayed_event import ReplayedEvent
+from mistray.gradients.scatter_replay import ScatterEvent, ScatterReplay
 from mistray.gradients.surface_numbers import SurfaceNumbers, numbers_of
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film
 from mistray.surfaces.gradient_columns import GEOMETRY
 
 FAR_OFF = 1e-3  # distance from a recorded point, over 1 + its norm, beyond which the ray counts as another one
+EVENT_VALUES = ("d", "axis", "cos_i", "cos_t", "eta", "R", "T", "q")  # of events that scatter depends on
 STEP = 1e-6  # largest move of a number, in units of its scale
 
 
@@ -178,7 +180,7 @@ def follow(surfaces: ReplaySurfaces, rays: RecordedRays) -> Followed:
 
 
 def arrivals(
-    surfaces: ReplaySurfaces, rays: RecordedRays, base: Followed, media: SegmentMedia | None
+    surfaces: ReplaySurfaces, rays: RecordedRays, base: Followed, media: SegmentMedia | None, scatters: bool
 ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
     """
     Return the places where recorded rays meet the detector, mm, and the logarithms of their flux factors.
@@ -193,6 +195,8 @@ def arrivals(
         Result of `follow` with the present parameters.
     media : SegmentMedia or None
         Media of the segments; None: none absorbs.
+    scatters : bool
+        Whether surfaces scatter: the factors of scatter events and of the detector are then left to `scatter_factors`.
 
     Returns
     -------
@@ -212,7 +216,10 @@ def arrivals(
     ) -> tuple[mi.Vector3d, tuple[Any, ...]]:
         # Flux factor of the event, and of the segment before it
         share = dr.select(last, 1 - event.R - event.T, dr.select(event.reflect, event.R, event.T))
-        factor = dr.log(dr.select(event.active & (share > 0), share, 1))
+        own = event.active & (share > 0)
+        if scatters:
+            own &= ~event.scattered & ~last
+        factor = dr.log(dr.select(own, share, 1))
         absorbed = dr.select(event.active & last, factor, absorbed)
         if media is not None:
             factor -= surfaces.extinction(media.of(k, event.active), event.active) * event.length
@@ -224,6 +231,79 @@ def arrivals(
     return q.x, q.y, total, absorbed
 
 
+def scatter_factors(
+    sides: tuple[ReplaySurfaces, ReplaySurfaces],
+    rays: RecordedRays,
+    base: Followed,
+    scatter: ScatterReplay,
+    per: mi.Float64,
+) -> tuple[mi.Float64, mi.Float64]:
+    """
+    Return the rate of the logarithm of the flux factors of scatter along recorded rays, and what the detector absorbs.
+
+    The factors are single precision, too coarse for differences: the events have the rates of a central difference, and
+    Dr.Jit's forward mode gives those of the factors.
+
+    Parameters
+    ----------
+    sides, rays, base
+        See `add_tangent`.
+    scatter : ScatterReplay
+        Scatter of the surfaces.
+    per : mi.Float64
+        Inverse of the difference of the common variable between the two sides.
+
+    Returns
+    -------
+    rate, absorbed : mi.Float64
+        Rate of the logarithm of specular shares, BSDFs and absorption in the detector, and the latter, 0 … 1.
+    """
+
+    def step(k: mi.UInt32, rate: mi.Float64, absorbed: mi.Float64, *state: mi.Vector3d) -> tuple[Any, ...]:
+        active, last = k < rays.length, k + 1 == rays.length
+        here, onward, code = base.point(k, active), active & ~last, rays.node(k, active).code
+        held = base.point(k + 1, onward) - here
+        events: list[ReplayedEvent] = []
+        ahead: list[mi.Vector3d] = []
+        after: list[mi.Vector3d] = []
+        for surfaces, p, d in zip(sides, state[::2], state[1::2], strict=True):
+            event = surfaces.followed(p, d, dr.dot(here - p, d), code, rays.batch, active)
+            out = dr.normalize(surfaces.to_local(held, event.s, onward))
+            events.append(event)
+            ahead.append(out - dr.cross(event.turn, out))
+            after += [event.p, dr.normalize(dr.select(event.scattered & onward, held, event.heading))]
+        pairs: dict[str, list[Any]] = {name: [getattr(event, name) for event in events] for name in EVENT_VALUES}
+        with dr.resume_grad():
+            leaves: dict[str, Any] = {}
+            for name, (low, high) in {**pairs, "ahead": ahead}.items():
+                single = mi.Float if dr.depth_v(low) == 1 else mi.Vector3f
+                leaves[name] = single(0.5 * (low + high))
+                dr.enable_grad(leaves[name])
+                dr.set_grad(leaves[name], single((high - low) * per))
+            moved = list(leaves.values())
+            towards, first = leaves.pop("ahead"), events[0]
+            middle = ScatterEvent(
+                first.s, first.batch, first.reflect, first.from_front, coating=first.coating, **leaves
+            )
+            share = scatter.absorbed(middle, active & last)
+            factor = scatter.log_kept(middle, onward & ~first.scattered)
+            factor += scatter.log_flux(middle, towards, onward & first.scattered)
+            factor += dr.log(dr.select(share > 0, share, 1))
+            dr.enqueue(dr.ADMode.Forward, moved)
+            dr.traverse(dr.ADMode.Forward)
+            grown = mi.Float64(dr.grad(factor))
+        absorbed = dr.select(active & last, mi.Float64(dr.detach(share)), absorbed)
+        return k + 1, rate + dr.select(active, grown, 0), absorbed, *after
+
+    count = dr.width(rays.row)
+    zeros = dr.zeros(mi.UInt32, count), dr.zeros(mi.Float64, count), dr.zeros(mi.Float64, count)
+    start = [mi.Vector3d(v) for _ in sides for v in (rays.o, rays.d)]
+    _, rate, absorbed, *_ = dr.while_loop(
+        (*zeros, *start), lambda k, *_: k < rays.length, step, mode="symbolic", label="scatter of rays"
+    )
+    return rate, absorbed
+
+
 def add_tangent(
     image: mi.Float64,
     film: Film,
@@ -232,7 +312,7 @@ def add_tangent(
     media: SegmentMedia | None,
     sides: tuple[ReplaySurfaces, ReplaySurfaces],
     step: float,
-    flux: mi.Float64,
+    scatter: ScatterReplay | None,
 ) -> None:
     """
     Add the directional derivative of the detected flux from recorded rays to an image, visibility held fixed.
@@ -252,14 +332,19 @@ def add_tangent(
         Surfaces with their parameters moved back and forth.
     step : float
         Move to either side, as a factor on the rates of the parameters, see `step_of`.
-    flux : mi.Float64
-        Flux with which each ray meets the detector, in units of the start ray's flux.
+    scatter : ScatterReplay or None
+        Scatter of the surfaces; None: none scatters.
     """
-    (x0, y0, f0, last0), (x1, y1, f1, last1) = (arrivals(surfaces, rays, base, media) for surfaces in sides)
+    (x0, y0, f0, last0), (x1, y1, f1, last1) = (
+        arrivals(surfaces, rays, base, media, scatter is not None) for surfaces in sides
+    )
     per = dr.opaque(mi.Float64, 0.5 / step)
     alive = ~base.strayed
-    flux = flux * dr.exp(0.5 * (last0 + last1))
+    flux = rays.weight * dr.exp(0.5 * (last0 + last1))
     move_x, move_y, growth = (x1 - x0) * per, (y1 - y0) * per, (f1 - f0) * per
+    if scatter is not None:
+        rate, absorbed = scatter_factors(sides, rays, base, scatter, per)
+        flux, growth = flux * absorbed, growth + rate
     x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
     # Change of the flux, at a fixed place
     for pixel, share in film.places(mi.Float(x), mi.Float(y)):
@@ -321,6 +406,6 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
             for rays in path_replay.recorded(run.start_pass(number), run.trace_trees):
                 base = follow(still, rays)
                 media = SegmentMedia(still, rays) if table.optics.absorbs else None
-                add_tangent(image, film, rays, base, media, (back, forth), step, rays.weight)
+                add_tangent(image, film, rays, base, media, (back, forth), step, path_replay.scatter)
                 dr.eval(image)
     return np.array(image).reshape(film.height, film.width)

@@ -213,8 +213,9 @@ class Adjoint(Recorder):
         """
         # It absorbs the flux that it does not reflect, transmit or scatter
         it, shares = visit.interaction, visit.shares
-        active = visit.counted & (weighted != 0)
         for reflect in (True, False):
+            # In total reflection nothing is transmitted, and what an ideal coating would transmit is reflected
+            active = visit.counted & (weighted != 0) & mi.Bool(reflect | ~it.tir)
             cell = it.place.row * CHANNELS + it.channel(mi.Bool(reflect))
             not_absorbed = weighted
             if shares is not None:

@@ -17,6 +17,7 @@ from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import interface_xml, shape_xml
 from oracles.small_scenes import scene_text as small_text
 from oracles.statistics import z_limit, z_score
+from scene_dicts import at, detector, load
 
 import mistray
 from mistray.optimize import Metric, image_metric, optimize, parameters
@@ -418,6 +419,34 @@ def test_identity(case: Case, smooth: np.ndarray, kind: str) -> None:
     assert abs(forward - terms.sum()) < OF_IDENTITY * scale
     wrong = terms.sum() + 1e-3 * terms[int(np.argmax(np.abs(terms)))]  # one derivative that is 0.1 % too large
     assert abs(forward - wrong) > OF_IDENTITY * scale
+
+
+@pytest.mark.long
+def test_identity_of_scatter() -> None:
+    """Light that a mirror scatters beside its beam: as it turns, and as its coating hides more of the dust."""
+    aside = mi.ScalarTransform4d().translate([0, 10, 20])
+    for key, model in (
+        ("mirror.tilt_x", {"type": "abg", "A": 1e-3, "B": 1e-2, "g": 2.0}),
+        ("mirror.bsdf.R", {"type": "particulate", "level": 500.0}),
+    ):
+        scene = load(
+            source={"type": "collimated", "radius": 5.0},
+            mirror={
+                "type": "asphere",
+                "to_world": at(50.0),
+                "semi_diameter": 10.0,
+                "bsdf": {"type": "interface", "R": 0.5, "scatter": model},
+            },
+            detector=detector(0.0, to_world=aside, half_width=4.0, half_height=4.0),
+        )
+        params = mi.traverse(scene)
+        integrator = mi.load_dict({"type": "straylight", "edges": False, "rays": 1000, "max_scatters": 1})
+        dr.enable_grad(params[key])
+        dr.set_grad(params[key], 1.0)
+        forward = float(np.array(integrator.render_forward(scene, params), dtype=np.float64).sum())
+        dr.clear_grad(params[key])
+        integrator.render_backward(scene, params, mi.TensorXf(np.ones((8, 8, 1), dtype=np.float32)))
+        assert forward == pytest.approx(float(dr.grad(params[key])[0]), rel=1e-5)
 
 
 def test_render_is_the_gradient(case: Case, smooth: np.ndarray) -> None:

@@ -140,6 +140,32 @@ def test_backward_and_chain_rule_before_the_scene(plate) -> None:
     assert np.array(dr.grad(t))[0] * area == pytest.approx(T + R * R * T, rel=1e-5)
 
 
+@pytest.mark.long
+def test_a_detector_beyond_the_critical_angle() -> None:
+    """Within glass it absorbs 1 - R - T of light that it cannot transmit, by the adjoint pass and by replay."""
+    aslant = scene_dicts.at(20.0).rotate([1, 0, 0], 50)
+    scene = scene_dicts.load(
+        source={"type": "collimated", "radius": 2.0},
+        front={
+            "type": "asphere",
+            "semi_diameter": 10.0,
+            "bsdf": {"type": "interface", "front": "air", "back": "1.5", "R": 0.0, "T": 1.0},
+        },
+        detector=scene_dicts.detector(
+            20.0,
+            to_world=aslant,
+            semi_diameter=10.0,
+            bsdf={"type": "interface", "front": "1.5", "back": "air", "R": 0.3, "T": 0.2},
+        ),
+    )
+    metric = path_power(scene, "all", rays=32, max_reflections=0)
+    for more in ([], ["front.curvature"]):
+        found = gradient(metric, mi.traverse(scene), ["detector.bsdf.R", "detector.bsdf.T", *more], edges=False)
+        assert found.value == pytest.approx(0.5)
+        slopes = [float(found.gradient[f"detector.bsdf.{name}"][0]) for name in "RT"]
+        assert slopes == pytest.approx([-1, -1], rel=1e-6)
+
+
 def test_walk_in_reverse_and_replay(before_mirror) -> None:
     """Coatings alone take the walk in reverse, with anything else the replay: both give the same derivatives."""
     metric, params = path_power(before_mirror, "ghost", rays=256, max_reflections=4), mi.traverse(before_mirror)

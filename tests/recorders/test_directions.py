@@ -12,6 +12,7 @@ import pytest
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import plates_text, scene_text, shape_xml
 from refusals import each_refused
+from scene_dicts import at, detector, load
 
 import mistray
 from mistray.physics.geometry.healpix import pixel, sides
@@ -233,6 +234,16 @@ class TestProbe:
         mistray.trace(load_text(text)[0], rays=50_000, recorders=[probe], max_reflections=0)
         (value,), (se,) = (column.ravel() for column in probe.irradiance)
         assert abs(value - 0.5) < 4 * se  # 1 in 16,000
+
+    def test_on_a_surface(self) -> None:
+        """Oblique light that passes a sheet and meets the detector counts once at each, in spite of rounding."""
+        clear = {"type": "interface", "R": 0.0, "T": 1.0, "front": "air", "back": "air"}
+        sheet = {"type": "asphere", "to_world": at(33.3), "semi_diameter": 60.0, "bsdf": clear}
+        point = {"type": "point_source", "z": -20.0, "half_angle_deg": 30.0, "power": 1.0}
+        probes = [Probe(str(z), (0, 0, z), half_width=60, half_height=60, pixels=(1, 1)) for z in (33.3, 45.1)]
+        scene = load(source=point, sheet=sheet, detector=detector(45.1, semi_diameter=60.0))
+        t = mistray.trace(scene, rays=1000, recorders=probes)
+        assert [probe.power[0] for probe in probes] == pytest.approx([t.energy.detected_W] * 2, rel=1e-6)
 
     @pytest.mark.parametrize("depth", [0.0, 1.7, 5.0])
     def test_in_absorbing_glass(self, load_text, depth: float) -> None:

@@ -331,7 +331,7 @@ class BackwardRun:
         maps = None if sums.maps is None else sums.by_pixel(trace.unit)
         if light is not None:
             largest = np.maximum(largest, light.total.strongest(light.unit))
-            maps = None if maps is None else maps + light.total.by_pixel(light.unit)
+            maps = None if maps is None else maps + light.by_pixel
         largest = bare.share_of_scattered(largest)
         found = None
         if paths := self._paths():

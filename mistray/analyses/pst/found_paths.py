@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.events import ABSORBED, event_of
+from mistray.events import ABSORBED, FIRST_SCATTERED, event_of, kind_of
 from mistray.execute.cell_sums import FoundByCell
 from mistray.execute.grid_trace import GridTrace
 from mistray.recorders.path_events import Events, describe_events
@@ -53,7 +53,7 @@ class FoundPaths:
     hits : (2, p) float64
         Numbers of forward and of backward rays that found them.
     value, variance : (p,) float64
-        PST_normal of each pair and its variance.
+        PST_normal of each pair and its variance, as if all hits were independent.
     """
 
     trace: GridTrace
@@ -76,7 +76,7 @@ class FoundPaths:
             Either of their traces.
         along, against : tuple or None
             Result of `found` of `AllCells` and of `CellSums`: path table of forward and of backward rays, PST_normal
-            per unit weight of a start ray, (c,), and start rays, (c,), by cell; None: there are no such rays.
+            per unit weight of a start ray, (c,), and start rays, (2, c), by cell; None: there are no such rays.
         """
         tables: list[tuple[int, dict[str, np.ndarray], np.ndarray, np.ndarray]] = []
         if along is not None and along[0]:
@@ -98,7 +98,9 @@ class FoundPaths:
         # Values of both directions add up: they are weighted by MIS
         hits, value, variance = np.zeros((2, len(known))), np.zeros(len(known)), np.zeros(len(known))
         for (k, table, unit, count), at in zip(tables, numbers, strict=True):
-            scale, started = unit[table["cell"]], np.maximum(count[table["cell"]], 1)
+            scattered = (kind_of(table["events"]) >= FIRST_SCATTERED).any(axis=1)
+            scale = unit[table["cell"]]
+            started = np.maximum(count[scattered[table["path"]].astype(np.int64), table["cell"]], 1)
             hits[k][at] = table["hits"]
             value[at] += scale * table["weight"]
             variance[at] += scale**2 * np.maximum(table["squares"] - table["weight"] ** 2 / started, 0)

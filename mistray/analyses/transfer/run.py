@@ -19,11 +19,14 @@ from mistray.analyses.transfer.request import TransferRequest
 from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
+from mistray.execute.tracer import RunSums
 from mistray.light import Light
 from mistray.metrics.ghost_ranking import direct_image, stray_to_direct
 from mistray.metrics.stray_metric import StrayMetric
 from mistray.percent import percent_text
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
+from mistray.recorders.sampled import sum_of_runs
+from mistray.recorders.tallies import ABSORBED_HERE, CUTS, ESCAPED
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.sources import field_of, scene_sources
 from mistray.surfaces.surfaces import SurfaceTable
@@ -201,20 +204,24 @@ def _field(
 
 def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
     """Return the balance of the launched light: the fraction that ends at each destination, with standard errors."""
-    e, launched = t.energy, t.energy.launched_W
+    launched, table = t.energy.launched_W, t.runs[0].table
 
-    def share(value: float, se: float = 0.0) -> Estimate:
-        return Estimate(value / launched, se / launched)
+    def share(value: float | np.ndarray, se: float | np.ndarray) -> Estimate:
+        return Estimate(float(value) / launched, float(se) / launched)
 
-    found = {}
-    for k, name in enumerate(CLASSES):
-        total = spread.rings(k).total()
-        found[name] = share(float(total.value), float(total.se))
-    for name, losses in (("absorbed_by_surfaces", e.absorbed), ("absorbed_in_media", e.absorbed_in)):
-        found[name] = share(
-            sum(value for value, _ in losses.values()), float(np.sqrt(sum(se**2 for _, se in losses.values())))
-        )
-    return found | {"escaped": share(e.escaped_W, e.escaped_se_W), "cut": share(sum(e.cut.values()))}
+    found = {name: share(*spread.rings(k).total().with_se) for k, name in enumerate(CLASSES)}
+    # What ends at several places shares start rays: the error of a sum comes from that of the batches
+    walls = [i for i in table.listed if i not in table.detectors]
+    parts: dict[str, Callable[[RunSums], np.ndarray]] = {
+        "absorbed_by_surfaces": lambda sums: sums.surfaces[walls, ABSORBED_HERE],
+        "absorbed_in_media": lambda sums: sums.media[1:],
+        "escaped": lambda sums: sums.channels[[ESCAPED]],
+        "cut": lambda sums: sums.channels[[*CUTS.values()]],
+    }
+    return found | {
+        name: share(*sum_of_runs([part(run.sums).sum(axis=0) for run in t.runs], t.runs))
+        for name, part in parts.items()
+    }
 
 
 def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: float) -> tuple[str, ...]:

@@ -17,6 +17,9 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import opaque
 
 PARALLEL = 1e-6  # sine of the angle below which two directions are parallel
+# Distance in front of the rectangle at which light is recorded, relative to coordinates and to the way of the light. It
+# exceeds their rounding, so that of two segments that meet on a surface there the first counts and the second does not
+BEFORE = 2e-6
 
 
 class Probe(PassingLight):
@@ -25,7 +28,8 @@ class Probe(PassingLight):
 
     It is given to `mistray.trace` among ``recorders``. It may be placed anywhere, also within glass, and does not
     affect the light, so that a ray that comes back contributes again. Where a medium absorbs or scatters light on the
-    way, the flux is that at the rectangle.
+    way, the flux is that at the rectangle. On a surface it records the light that arrives there, not the light that
+    leaves or starts there.
 
     Parameters
     ----------
@@ -91,6 +95,8 @@ class Probe(PassingLight):
         """Upload the centre (mm), axes and half sides (mm) of the rectangle to the device."""
         self._optics = table.optics
         self._origin = table.upload_point(self._centre)
+        reach = float(np.linalg.norm(self._centre - table.centre) + np.hypot(*self._half))
+        self._before = dr.opaque(mi.Float, BEFORE * reach)
         self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]
         self._scale = [
             dr.opaque(mi.Float, count / (2 * half)) for count, half in zip(self._pixels, self._half, strict=True)
@@ -102,9 +108,12 @@ class Probe(PassingLight):
         # Intersect with the plane, and test the rectangle
         right, up, normal = self._on_device
         away = self._origin - segment.origin
-        along = dr.dot(segment.heading, normal)
-        distance = dr.dot(away, normal) / along
-        crosses = segment.active & (along > 0) & (distance > 0) & (segment.leaves | (distance <= segment.length))
+        along, ahead = dr.dot(segment.heading, normal), dr.dot(away, normal)
+        distance = ahead / along
+        # A little in front of the plane, on which a surface may lie
+        before = self._before + BEFORE * ahead
+        crosses = segment.active & (along > 0) & (ahead > before)
+        crosses &= segment.leaves | (ahead - before <= along * segment.length)
         offset = dr.fma(distance, segment.heading, -away)
         x, y = dr.dot(offset, right), dr.dot(offset, up)
         crosses &= (dr.abs(x) <= self._halves[0]) & (dr.abs(y) <= self._halves[1])

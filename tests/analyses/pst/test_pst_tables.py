@@ -15,7 +15,9 @@ import pytest
 from analyses.fake_pst import FACTS, fake_pst
 from matplotlib.collections import PolyCollection, QuadMesh
 from refusals import each_refused, refused
+from scene_dicts import detector, load
 
+import mistray
 from mistray.analyses.pst import causes, tables
 from mistray.analyses.pst.causes import breaks, cause_frame, field_edge, main_cause, stray_paths
 from mistray.analyses.pst.figures import pst_causes, pst_curve, pst_irradiance, pst_map
@@ -127,6 +129,24 @@ def curve(level: np.ndarray, noise: float = 0.02, seed: int = 5) -> Pst:
 def bent(angles: np.ndarray) -> np.ndarray:
     """log10: -0.02 per degree to 20°, -0.2 to 30°, then -0.01."""
     return -3 - np.interp(angles, [0, 20, 30, 80], [0, 0.4, 2.4, 2.9])
+
+
+@pytest.mark.long
+def test_errors_of_paths_and_pixels_count_all_rays_of_unscattered_light() -> None:
+    """Direct light that most of its many rays of a sixteenth of the weight bring, as one path and as one pixel."""
+    paint = {"type": "interface", "R": 0.0, "scatter": {"type": "paint", "reflectance": 0.1}}
+    scene = load(
+        source={"type": "collimated", "radius": 5.0},
+        tube={"type": "frustum", "r0": 6.0, "z0": 0.0, "r1": 6.0, "z1": 20.0, "bsdf": paint},
+        detector=detector(20.0, half_width=4.0, half_height=4.0),
+    )
+    found = mistray.pst(scene, [5], rays=1 << 14, cell_deg=4.0, max_scatters=1, map_pixels=1)
+    paths, (value, se) = found.paths(5), found.curve("direct")
+    assert paths.pst[0] == pytest.approx(value[0], rel=1e-6)
+    assert paths.kind[0] == "direct"
+    # Stratified rays have smaller errors than those of a path or a pixel, which takes them for independent
+    assert se[0] < paths.pst_se[0] < 3 * se[0]
+    assert se[0] < found.maps[1].item() < 3 * se[0]
 
 
 def test_breaks_are_where_the_slope_changes():

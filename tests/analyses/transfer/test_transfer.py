@@ -145,6 +145,15 @@ def test_glare_is_the_ghost_to_signal_ratio_of_the_same_trace():
     np.testing.assert_allclose(found.stf().value, 1, rtol=1e-12)
 
 
+def test_errors_of_the_balance_add_up():
+    """All shares add up to 1, so that the error of one of them is at most the sum of those of the others."""
+    (found,) = mistray.transfer(mistray.load("cooke_triplet"), rays=5000, frequencies_per_mm=[10.0])
+    errors = np.array([share.se for share in found.books.values()])
+    assert sum(share.value for share in found.books.values()) == pytest.approx(1, abs=1e-6)
+    assert np.all(errors <= errors.sum() - errors + 1e-9)
+    assert found.books["cut"].se > 0
+
+
 def test_rays_and_wavefront_have_one_origin_and_one_sign(load_scene):
     """Coma makes the function complex; false alarm 1e-3 for each azimuth and part; of the wavefront the sign counts."""
     scene = load_scene(paraboloid_text(detector=20.0, radius=40.0))
