@@ -32,7 +32,7 @@ class WorstPath:
     Attributes
     ----------
     label : str
-        Name of the path in words.
+        Name of the path in words; with several sources that of its source follows in parentheses.
     few_rays, contested : bool
         Whether its values have no errors there, and whether it may be as bright as the worst path of all fields.
     fields : tuple of float
@@ -88,7 +88,7 @@ class Remedy:
 
 def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]:
     """
-    Return the worst stray paths of all fields, each once, at the field where it is worst.
+    Return the worst stray paths of all fields, each once for each source, at the field where it is worst.
 
     Parameters
     ----------
@@ -107,7 +107,9 @@ def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]
         harm = pd.Series(low, every.index)
     else:
         harm = every[RANKED_BY[report.rank]].where(~every.few_rays | (report.rank == "power"))
-    every = every.assign(way=way_text(every.events), harm=harm, high=high)
+    if every.source.nunique() > 1:
+        every["label"] = every.label + " (" + every.source + ")"
+    every = every.assign(way=[*zip(every.source, way_text(every.events), strict=True)], harm=harm, high=high)
     every = every.sort_values(["harm", RANKS["rms"]], ascending=[False, True], na_position="last")
     fields = every.groupby("way").field_deg.agg(lambda found: tuple(sorted(set(found))))
     first = every.drop_duplicates("way").head(count)

@@ -328,8 +328,18 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         -------
         line, edge : (m,) float64
             Flux per mm at each position, 1/mm, and flux up to each position, for a total flux of 1.
+
+        Raises
+        ------
+        MistrayError
+            If a position is beyond the computed image, where the image would be repeated.
         """
         x = np.array(PLACE_MM.check_each("x_mm", x_mm))
+        if not np.all(np.abs(x) <= self.largest_radius_mm):
+            raise MistrayError(
+                f"x_mm reach from {x.min():g} to {x.max():g}; they must lie within {self.largest_radius_mm:.4g} mm of "
+                "the image point, or give a larger grid"
+            )
         df = min(line.pupil.frequency_step for line in self.lines) / 2
         f = np.arange(1, math.ceil(self.cut_off_per_mm(azimuth) / df) + 1) * df
         values = self.otf(f, azimuth)

@@ -6,7 +6,7 @@ with the flux Φ on the object, its BSDF from the direction of that light to the
 configuration factor GCF: the projected solid angle of the detector as the object sees it through the optics, over π (R.
 Breault, Control of Stray Light, in Handbook of Optics, OSA). The refractive index is n at the object and n_d at the
 detector, and s is the mean weight of Lambertian rays from the detector that meet the object. Étendue then gives
-π GCF = π (n_d/n)² A_det s/A.
+π GCF = π (n_d/n)² A_det s/A. With rays within an angle α of its normal alone s sin²α takes the place of s.
 
 A transmitting surface is seen from either side, by total reflection even from the one that faces away. Each side has
 its own GCF, at most 1, and its own product.
@@ -33,6 +33,7 @@ from mistray.scatter.evaluate import bsdf
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace.host.ray_sources import DetectorView
 
 PLACE = ("id", "part", "side", "between", "stop", "optic")
 LIT, SEEN = 512, 128  # rays that light an object, and rays that see it near each of them, whose pairs give the BSDF
@@ -54,7 +55,7 @@ class SeenObject:
 
 def product_estimates(
     table: SurfaceTable,
-    area: float,
+    detector: DetectorView,
     seen: RayView,
     views: Iterable[tuple[float, RayView]],
     objects: Mapping[int, CommonObject],
@@ -66,8 +67,8 @@ def product_estimates(
     ----------
     table : SurfaceTable
         Surfaces of the scene.
-    area : float
-        Area of the detector, mm².
+    detector : DetectorView
+        Detector, from which the backward rays started.
     seen : RayView
         Objects that the detector sees.
     views : iterable of (float, RayView)
@@ -85,11 +86,11 @@ def product_estimates(
         for number, row in objects.items()
         for side, hits in by_side(seen.samples(number), row.side)
     ]
-    found = []
+    found, area = [], detector.area
     for angle, view in views:
         own = []
         for number, hits, row in sides:
-            bsdf_1_sr, gcf, detector = estimate(table, area, hits, view, number)
+            bsdf_1_sr, gcf, flux = estimate(table, area * detector.share, hits, view, number)
             own.append(
                 ScatterEstimate(
                     angle_deg=angle,
@@ -98,8 +99,8 @@ def product_estimates(
                     flux_W=Estimate(*view.area(number)),
                     bsdf_1_sr=bsdf_1_sr,
                     gcf=gcf,
-                    detector_W=detector,
-                    pst=Estimate(detector.value / area, detector.se / area),
+                    detector_W=flux,
+                    pst=flux.times(1 / area),
                 )
             )
         total = sum(row.detector_W.value for row in own) or 1.0
@@ -133,8 +134,8 @@ def estimate(
     """
     Return BSDF (1/sr), geometric configuration factor and product estimate of an object, W for 1 W/mm² across the beam.
 
-    `area` is that of the detector, mm², and `number` the index of the object in `illuminated`. All are 0 unless the
-    object is seen where it is lit.
+    `area` is that of the detector, mm², times the share of its view that was traced; `number` is the index of the
+    object in `illuminated`. All are 0 unless the object is seen where it is lit.
     """
     lit, seen = illuminated.samples(number), view.hits
     if not lit.weight.sum() > 0 or not seen.weight.sum() > 0:

@@ -252,7 +252,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
         wanted = [*self.common, *(row for row in self.optics if row.id != self.facts["detector"])]
         seen = {self.numbers[row.id, row.side]: row for row in wanted}
         views = zip(self.field_deg or [np.nan], self.lit, strict=True)
-        return product_estimates(self.table, self.detector.area, self.seen, views, seen)
+        return product_estimates(self.table, self.detector, self.seen, views, seen)
 
     def estimates(self) -> pd.DataFrame:
         """Return `products` with a row for each, and the columns of `ScatterEstimate`."""

@@ -12,22 +12,28 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.estimate import UNKNOWN, Estimate
+from mistray.events import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
 from mistray.kernel.interaction import counts_as_reflection, interact
 from mistray.kernel.kernel_scene import next_hit
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.recorders.design_sequences import DesignKeys
+from mistray.recorders.path_key import FIRST_KEY, extend_key
 from mistray.recorders.start_rays import StartRays
+from mistray.sampling.design.search import design_sequences, traced_table
+from mistray.sampling.design.sequences import has_optics
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.detector_start import DetectorStart
+from mistray.sampling.outer_medium import closed_media, outer_medium
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.upload import download
+from mistray.surfaces.upload import download, upload
 from mistray.toolkit.rows import column, derived
 
-TOTAL = "(total reflection)"
+ALONE = "(total reflection)"
 ZONES = 5  # of the detector by the distance from its middle, with equal areas
 FAINTEST = 1e-9  # weight below which a ray ends
 
@@ -42,7 +48,7 @@ class NarcissusReturn:
     """
 
     surface: str = column(
-        f'Surface that reflects; "{TOTAL}" stands for total reflection and mirrors alone',
+        f'Surface that reflects; "{ALONE}" stands for total reflection and mirrors alone',
         head="the detector sees itself by",
     )
     part: str = column("Part that the surface belongs to")
@@ -86,9 +92,9 @@ class Returned:
     Attributes
     ----------
     emission : dict of str to Estimate
-        Surface id or `TOTAL` → emission, as in `NarcissusReturn`; only surfaces that send light back.
+        Surface id or `ALONE` → emission, as in `NarcissusReturn`; only surfaces that send light back.
     cold : dict of str to (ZONES, BATCHES) float64
-        Surface id or `TOTAL` → irradiance missing because it shows cold objects to the detector, W/mm², by zone and
+        Surface id or `ALONE` → irradiance missing because it shows cold objects to the detector, W/mm², by zone and
         batch of rays.
     scene : (ZONES, BATCHES) float64
         Derivative of the irradiance of the imaged scene with respect to its temperature, W/(mm² K).
@@ -134,22 +140,26 @@ def returns(
         Derivative of the scene's irradiance with respect to its temperature, W/(mm² K), if all rays from the detector
         reach the scene.
     """
-    table = SurfaceTable(scene, 1e3 * wavelength_um, detector)
+    table = traced_table(scene, 1e3 * wavelength_um, detector)
     path = find_design_path(table, scene)
     light = path.steps[-1].before if path is not None else np.array([0.0, 0.0, 1.0])
     lanes = max(2 * BATCHES, rays // BATCHES * BATCHES)
     start = DetectorStart(table, light, None, False).pass_rays(seed, lanes, 1.0)
     zone, edges = _zones(download(start.o))
     cell = zone * BATCHES + np.array(start.batch)
+    design = design_sequences(scene, table)
+    image = DesignKeys(design, table.detector) if has_optics(table) and design.lists.get(table.detector) else None
+    inside = closed_media(table, outer_medium(table, scene))
+    closed = None if inside is None else upload(mi.Bool, inside)
     # Of the detector itself, of all that is cold, and in the last row of the scene
     sums = [dr.zeros(mi.Float64, rows * ZONES * BATCHES) for rows in (table.count + 1, table.count + 2)]
     weights = np.array([missing.get(name, 0.0) for name in table.ids])
-    _follow(table, start, mi.UInt32(cell), settings.max_events, mi.Float64(weights), sums)
+    _follow(table, start, mi.UInt32(cell), settings.max_events, mi.Float64(weights), sums, image, closed)
     started = np.bincount(cell, minlength=ZONES * BATCHES).reshape(ZONES, BATCHES)
     own, cold = (np.array(one).reshape(-1, ZONES, BATCHES) for one in sums)
     by_batch = own.sum(axis=1) / (lanes / BATCHES)
     by_zone = cold / np.maximum(started, 1)
-    names = [*table.ids, TOTAL]
+    names = [*table.ids, ALONE]
     emission = {
         names[j]: Estimate(float(row.mean()), float(row.std(ddof=1) / np.sqrt(BATCHES)))
         for j, row in enumerate(by_batch)
@@ -174,13 +184,16 @@ def _follow(
     max_events: int,
     missing: mi.Float64,
     sums: list[mi.Float64],
+    image: DesignKeys | None,
+    closed: mi.Bool | None,
 ) -> None:
     """
     Add the light that the detector and cold surfaces absorb to sums by reflecting surface, zone and batch.
 
     Row `table.count` is for no reflection; there the second sums have the detector alone. Their last row is for light
-    that leaves the scene without a reflection. A ray that has not been reflected may go on both ways at a surface; one
-    that has been reflected is only transmitted. Mirrors and total reflection reflect every ray, and do not count.
+    that leaves the scene by a design sequence, or, without any, without a reflection. A ray that has not been reflected
+    may go on both ways at a surface; one that has been reflected is only transmitted. Mirrors and total reflection
+    reflect every ray, and do not count.
 
     Parameters
     ----------
@@ -196,6 +209,10 @@ def _follow(
         Missing irradiance by surface, see `returns`.
     sums : list of two mi.Float64
         Sums for the detector itself and for all cold objects, updated in place.
+    image : DesignKeys, optional
+        Design sequences of the detector; None: it has none.
+    closed : mi.Bool, optional
+        Mask of the media in which no ray can leave the scene; None: there are none.
     """
     own, cold = sums
     width = ZONES * BATCHES
@@ -206,6 +223,7 @@ def _follow(
     full = dr.zeros(mi.Float, lanes)
     o, d, w, last = start.o, start.d, start.w + full, start.left
     by = dr.full(mi.UInt32, NO_SURFACE, lanes)  # surface of the reflection
+    key = dr.full(mi.UInt64, FIRST_KEY, lanes)
     medium = dr.zeros(mi.UInt32, lanes) + (start.medium if start.medium is not None else 0)
     behind = start.normal if has_mitsuba_shapes else None
     for _ in range(max_events):
@@ -227,13 +245,16 @@ def _follow(
         # What is cold and seen without a reflection, as it should be, does not count
         lacking = absorbed * dr.gather(mi.Float64, missing, s, hit)
         dr.scatter_reduce(dr.ReduceOp.Add, cold, lacking, row * width + cell, hit & (there | (by != NO_SURFACE)))
-        leaves = (s == NO_SURFACE) & (by == NO_SURFACE)
+        leaves = (s == NO_SURFACE) & (by == NO_SURFACE if image is None else image.hold(key, True))
+        if closed is not None:
+            leaves &= ~dr.gather(mi.Bool, closed, medium, leaves)
         dr.scatter_reduce(dr.ReduceOp.Add, cold, mi.Float64(w), (table.count + 1) * width + cell, leaves)
         free = ~counts_as_reflection(it)  # mirrors and total reflection
         through = hit & ~free & ((it.word & OPAQUE) == 0) & (w * T > FAINTEST)
         back = hit & (free | (by == NO_SURFACE)) & (w * R > FAINTEST)
         inside = dr.select(it.medium_in == 0, medium, it.medium_in)
-        dr.eval(it.p, it.transmitted, it.reflected, it.medium_out, it.tir, R, T, s, w, by, cell, inside, normal, *sums)
+        at_hit = it.p, it.transmitted, it.reflected, it.medium_out, it.tir
+        dr.eval(*at_hit, R, T, s, w, by, key, cell, inside, normal, *sums)
         lanes_of = [chosen for chosen in map(dr.compress, (through, back)) if dr.width(chosen)]
         if not lanes_of:
             return
@@ -246,8 +267,10 @@ def _follow(
         o, last, cell = (dr.gather(type(v), v, lane) for v in (it.p, s, cell))
         d, medium = child(it.transmitted, it.reflected), child(it.medium_out, inside)
         w, by = child(w * T, w * R), child(by, dr.select(free, by, s))
+        bounced = dr.select(it.tir, mi.UInt32(TOTAL), REFLECTED)
+        key = child(*(extend_key(key, (s << EVENT_BITS) | what) for what in (mi.UInt32(TRANSMITTED), bounced)))
         behind = dr.gather(mi.Vector3f, normal, lane) if has_mitsuba_shapes else None
-        dr.eval(o, d, w, by, medium, cell, last)
+        dr.eval(o, d, w, by, key, medium, cell, last)
 
 
 def mean_returns(runs: Sequence[dict[str, Estimate]], weights: np.ndarray) -> dict[str, Estimate]:

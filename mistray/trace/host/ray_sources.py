@@ -94,6 +94,11 @@ class DetectorView:
         """Area of the detector, mm²."""
         return detector_area(self.table)
 
+    @property
+    def share(self) -> float:
+        """Share of a complete Lambertian source's flux that leaves within `half_angle_deg`, 0 … 1."""
+        return float(np.sin(np.radians(self.half_angle_deg)) ** 2)
+
 
 @dataclass(frozen=True, eq=False)
 class DiskSource:

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from analyses import fake_trace as fake
 from analyses.fake_scene import lens_scene
-from oracles.small_scenes import interface_xml, scene_text, shape_xml
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 from oracles.statistics import assert_z
 from refusals import refused
 
@@ -102,6 +102,18 @@ def test_what_is_left_without_a_surface_is_left_without_it(load_scene):
         assert left.value == pytest.approx(after.summary(field).stray_W.value, rel=1e-5)
     assert math.isfinite(found.percent.se)
     assert np.isfinite([left.se for left in found.left_W.values()]).all()
+
+
+def test_the_worst_paths_of_each_source(load_scene):
+    """Two beams through a plate: each has its ghosts, and they are not one path."""
+    other = '<emitter type="collimated" id="other"><float name="radius" value="0.5"/></emitter>'
+    text = plates_text(1, R=0.1, T=0.9).replace("</emitter>", f"</emitter>{other}", 1)
+    report = mistray.ghosts(load_scene(text), 0.0, rays=2000)
+    stray = report.table(0.0)[lambda rows: rows.kind != "direct"]
+    assert stray.source.nunique() == 2
+    worst = worst_of_all_fields(report, len(stray))
+    assert sorted(path.power_W.value for path in worst) == sorted(stray.power_W)
+    assert {path.label for path in worst} == {f"{row.label} ({row.source})" for row in stray.itertuples()}
 
 
 DIRECT = f"{fake.LENS} detector:A"

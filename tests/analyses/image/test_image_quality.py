@@ -68,6 +68,8 @@ def test_annular_pupil_line_and_edge():
     assert edge[200] == pytest.approx(0.5, abs=1e-9)
     assert np.gradient(edge, x)[1:-1] == pytest.approx(line[1:-1], abs=0.02 * line.max())
     assert np.all(line > -1e-3 * line.max())
+    # Beyond, the image is repeated
+    each_refused((lambda: axis.line_spread([0.0, 1.01 * axis.largest_radius_mm]), "x_mm reach from 0 to"))
 
 
 def test_coma_and_scale():

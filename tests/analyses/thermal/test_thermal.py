@@ -204,6 +204,23 @@ class TestNarcissus:
         (rear,) = (back.emission.value for back in report.returned if back.surface == "rear")
         assert 0 < rear < 0.2 * 0.9
 
+    def test_the_sky_beside_a_lens_is_no_image(self, load_scene: Callable[[str], mi.Scene]) -> None:
+        """Without a tube most of what the detector sees is beside the lens; its image has the same temperature."""
+        front, rear = interface_xml("air", "1.5", R=0.3, T=0.7), interface_xml("1.5", "air", R=0.2, T=0.8)
+        lens = (
+            placed_xml("asphere", "front", front, at=(0, 0, -9), radius=12.0, semi_diameter=4.0),
+            placed_xml("asphere", "rear", rear, at=(0, 0, -6), semi_diameter=4.0),
+            placed_xml("frustum", "edge", r0=4.0, z0=-8.31, r1=4.0, z1=-6.0),
+        )
+        scene = load_scene(scatter_scene(beam_xml(1.0, distance=30.0), *lens, detector_xml(1.0)))
+        settings = {"max_reflections": 1, "max_scatters": 0, "rays": 50_000, "temperatures": {"detector": 77.0}}
+        report = thermal(scene, 293.0, (9.99, 10.01), wavelengths_um=10.0, **settings)
+        assert report.scene_W_mm2.value > 3 * report.image_W_mm2.value
+        whole = sum(back.with_shield_K.value for back in report.returned)
+        error = math.hypot(report.nitd_K.se, *(back.with_shield_K.se for back in report.returned))
+        assert error < 0.05 * whole
+        assert_z("nitd", whole, report.nitd_K.value, error, k=4.0)
+
 
 class TestNetd:
     NOISE = DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, detectivity=5e10, quantum_efficiency=0.6)
