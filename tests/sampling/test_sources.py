@@ -69,8 +69,8 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
     "sun": ({"type": "distant_disc"}, np.pi * RADIUS**2),
     "wide disc": (
         {"type": "distant_disc", "diameter_deg": 80.0, "radiance": 3.0},
-        # Radiance is uniform in sin² θ dφ: L ∫ cos θ d(sin² θ) = L 2/3 (1 - cos³ θ)
-        3 * np.pi * 2 / 3 * (1 - np.cos(np.radians(40)) ** 3) * np.pi * RADIUS**2,
+        # Of uniform radiance: L ∫ cos θ dΩ = π L sin² θ
+        3 * np.pi * np.sin(np.radians(40)) ** 2 * np.pi * RADIUS**2,
     ),
     "sky": ({"type": "sky", "radiance": 2.0}, 2 * 2 * np.pi * np.pi * RADIUS**2),
     "part of the sky": (
