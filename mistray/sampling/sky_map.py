@@ -55,7 +55,10 @@ class SkyMap:
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
         """Return unit directions in which light travels, distributed as the radiance, for points of the unit square."""
-        cell, part = step_of(self._ends, self._rows * self._columns + 1, sample.x)
+        # Late digits of the other number go on where a random float32 ends: a sky beside a sun has few of its steps
+        more = sample.y * 2.0**10
+        u = dr.fma(more - dr.floor(more), 2.0**-23, sample.x)
+        cell, part = step_of(self._ends, self._rows * self._columns + 1, u)
         # Uniform in cos θ within the row; the part of the first random number that chose the cell is used again
         row = cell // self._columns
         first, second = (dr.gather(mi.Float64, self._edges, row + step) for step in (0, 1))

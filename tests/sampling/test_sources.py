@@ -17,6 +17,7 @@ import mistray
 from mistray.execute.tracer import prepare
 from mistray.physics.geometry.healpix import pixel
 from mistray.sampling.emission_laws import cosine_power_angle
+from mistray.sampling.sky_map import SkyMap
 from mistray.sampling.sources import scene_sources
 from mistray.settings import Settings
 
@@ -217,6 +218,17 @@ def test_the_sun_gaussian_beams_and_near_sources() -> None:
     for lamp in ({"type": "collimated", "radius": 1.0}, {"type": "point_source"}, {"type": "sky"}):
         with pytest.raises(mistray.MistrayError, match="degrees"):
             mistray.trace(lit(lamp), rays=1000, field_mm=1.0)
+
+
+def test_sky_beside_a_bright_sun_has_all_its_directions() -> None:
+    """Of a sky with 1e-6 of the light, to which 8 of the 2^23 values of a random float32 lead."""
+    share, edge = 1e-6, np.cos(0.1)
+    bright = (1 - share) / share * 2 / (1 - edge)
+    sky = SkyMap(lambda d: np.where(d[:, 2] > edge, bright, 1.0), 1024)
+    rng = np.random.default_rng(0)
+    first = 1 - 2.0**-23 * rng.integers(1, 9, 4000)
+    sample = mi.Point2d(mi.Float64(first), mi.Float64(mi.Float(rng.random(4000))))
+    assert len(np.unique(np.array(sky.directions(sample))[2])) > 2000
 
 
 def test_picture_of_a_sky(tmp_path: Path) -> None:
