@@ -27,7 +27,8 @@ class SkyMap:
     radiance : callable
         Radiance (n,), W/mm²/sr, of directions (n, 3) in which the light travels: unit vectors in the frame of the axis.
     rows : int
-        Number of cells in polar angle, clipped to `LEAST_ROWS` … `MOST_ROWS`; there are twice as many in azimuth.
+        Number of cells in polar angle, clipped to `LEAST_ROWS` … `MOST_ROWS`; there are twice as many in azimuth. The
+        radiance of a cell is the mean over its parts if more rows are wanted.
 
     Attributes
     ----------
@@ -36,22 +37,25 @@ class SkyMap:
     """
 
     def __init__(self, radiance: Callable[[np.ndarray], np.ndarray], rows: int) -> None:
-        self._rows = rows = int(np.clip(rows, LEAST_ROWS, MOST_ROWS))
-        self._columns = 2 * rows
-        # Radiance at the middle of each cell
-        theta = (np.arange(rows) + 0.5) / rows * np.pi
-        phi = (np.arange(self._columns) + 0.5) / self._columns * 2 * np.pi
-        (s, c), (sp, cp) = (np.sin(theta), np.cos(theta)), (np.sin(phi), np.cos(phi))
-        d = np.stack([np.outer(s, cp), np.outer(s, sp), np.outer(c, np.ones_like(phi))], axis=-1)
-        # Flux of each cell, and its running sum
-        edges = np.cos(np.arange(rows + 1) / rows * np.pi)
-        solid = (edges[:-1] - edges[1:]) * 2 * np.pi / self._columns
-        flux = np.maximum(radiance(d.reshape(-1, 3)).reshape(rows, -1), 0.0) * solid[:, None]
+        self._rows = int(np.clip(rows, LEAST_ROWS, MOST_ROWS))
+        self._columns = 2 * self._rows
+        # Flux of each cell, from directions in parts of it that are small enough for the picture
+        parts = -(-rows // self._rows)
+        fine = np.cos(np.arange(self._rows * parts + 1) / (self._rows * parts) * np.pi)
+        solid = (fine[:-1] - fine[1:]) * 2 * np.pi / (self._columns * parts)
+        flux = np.zeros((self._rows, self._columns))
+        for k in range(parts):
+            theta = (np.arange(self._rows) + (k + 0.5) / parts) / self._rows * np.pi
+            for j in range(parts):
+                phi = (np.arange(self._columns) + (j + 0.5) / parts) / self._columns * 2 * np.pi
+                (s, c), (sp, cp) = (np.sin(theta), np.cos(theta)), (np.sin(phi), np.cos(phi))
+                d = np.stack([np.outer(s, cp), np.outer(s, sp), np.outer(c, np.ones_like(phi))], axis=-1)
+                flux += np.maximum(radiance(d.reshape(-1, 3)).reshape(flux.shape), 0.0) * solid[k::parts, None]
         self.irradiance = float(flux.sum())
         ends = np.cumsum(flux) / (self.irradiance or 1.0)
         ends[-1] = 1.0
         self._ends = upload(mi.Float64, np.concatenate([[0.0], ends]))
-        self._edges = upload(mi.Float64, edges)
+        self._edges = upload(mi.Float64, fine[::parts])
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
         """Return unit directions in which light travels, distributed as the radiance, for points of the unit square."""

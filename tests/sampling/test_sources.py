@@ -16,6 +16,7 @@ from refusals import refused
 import mistray
 from mistray.execute.tracer import prepare
 from mistray.physics.geometry.healpix import pixel
+from mistray.sampling import sky_map
 from mistray.sampling.emission_laws import cosine_power_angle
 from mistray.sampling.sky_map import SkyMap
 from mistray.sampling.sources import scene_sources
@@ -229,6 +230,17 @@ def test_sky_beside_a_bright_sun_has_all_its_directions() -> None:
     first = 1 - 2.0**-23 * rng.integers(1, 9, 4000)
     sample = mi.Point2d(mi.Float64(first), mi.Float64(mi.Float(rng.random(4000))))
     assert len(np.unique(np.array(sky.directions(sample))[2])) > 2000
+
+
+def test_star_in_a_sky_with_more_pixels_than_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sky_map, "MOST_ROWS", 64)
+
+    def star(d: np.ndarray) -> np.ndarray:
+        rows = np.floor(np.arccos(d[:, 2]) * 256 / np.pi)
+        return np.where((rows == 101) & (np.floor(np.arctan2(d[:, 1], d[:, 0]) * 256 / np.pi) == 37), 1.0, 0.0)
+
+    exact = np.pi / 256 * (np.cos(101 * np.pi / 256) - np.cos(102 * np.pi / 256))
+    assert SkyMap(star, 256).irradiance == pytest.approx(exact, rel=1e-9)
 
 
 def test_picture_of_a_sky(tmp_path: Path) -> None:
