@@ -16,6 +16,7 @@ from mistray.sampling.emission_laws import step_of
 from mistray.surfaces.upload import upload
 
 LEAST_ROWS, MOST_ROWS = 64, 1024  # cells in polar angle
+LEAST_PARTS = 2  # of a cell each way, over which its radiance is averaged
 
 
 class SkyMap:
@@ -28,7 +29,7 @@ class SkyMap:
         Radiance (n,), W/mm²/sr, of directions (n, 3) in which the light travels: unit vectors in the frame of the axis.
     rows : int
         Number of cells in polar angle, clipped to `LEAST_ROWS` … `MOST_ROWS`; there are twice as many in azimuth. The
-        radiance of a cell is the mean over its parts if more rows are wanted.
+        radiance of a cell is the mean over its parts, more of them if more rows are wanted.
 
     Attributes
     ----------
@@ -40,7 +41,7 @@ class SkyMap:
         self._rows = int(np.clip(rows, LEAST_ROWS, MOST_ROWS))
         self._columns = 2 * self._rows
         # Flux of each cell, from directions in parts of it that are small enough for the picture
-        parts = -(-rows // self._rows)
+        parts = max(-(-rows // self._rows), LEAST_PARTS)
         fine = np.cos(np.arange(self._rows * parts + 1) / (self._rows * parts) * np.pi)
         solid = (fine[:-1] - fine[1:]) * 2 * np.pi / (self._columns * parts)
         flux = np.zeros((self._rows, self._columns))
