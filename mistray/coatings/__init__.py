@@ -17,10 +17,10 @@ between them, rad, in float64. Wavelengths are in vacuum, nm; N = n + ik with k 
 from mistray.coatings.files import coating_from_text, read_coating, write_table
 from mistray.coatings.fitted_to_substrate import FittedPreset, fitted_preset
 from mistray.coatings.presets import PRESETS, preset
-from mistray.coatings.response import CoatingModel, Response
+from mistray.coatings.response import METAL_K, CoatingModel, Response
 from mistray.coatings.simple import Bare, Ideal
 from mistray.coatings.spectrum import CoatingSpectrum, spectrum
-from mistray.coatings.stack import LAYER_PARAMETERS, METAL_K, Layer, Stack, layer_text, parse_layers
+from mistray.coatings.stack import LAYER_PARAMETERS, Layer, Stack, layer_text, parse_layers
 from mistray.coatings.table import CoatingTable
 from mistray.coatings.zemax_coating_dat import CoatingFile, read_coating_file
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from mistray.coatings.presets import PRESETS, preset
-from mistray.coatings.response import CoatingModel
+from mistray.coatings.response import METAL_K, CoatingModel
 from mistray.coatings.simple import Bare
 from mistray.coatings.spectrum import CoatingSpectrum, spectrum
-from mistray.coatings.stack import METAL_K, Stack, parse_layers
+from mistray.coatings.stack import Stack, parse_layers
 from mistray.coatings.table import CoatingTable
 from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.errors import MistrayError

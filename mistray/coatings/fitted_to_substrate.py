@@ -16,7 +16,8 @@ from itertools import product
 import numpy as np
 
 from mistray.coatings.presets import DEFAULT_NM, PRESETS, preset
-from mistray.coatings.stack import METAL_K, Layer, Stack
+from mistray.coatings.response import METAL_K
+from mistray.coatings.stack import Layer, Stack
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, nearest_known_nm
 

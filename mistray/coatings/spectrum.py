@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mistray.coatings.response import CoatingModel
-from mistray.coatings.stack import METAL_K
+from mistray.coatings.response import METAL_K, CoatingModel
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.ranges import POLAR_DEG, WAVELENGTH_NM

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.coatings.response import Response, layered_response
+from mistray.coatings.response import METAL_K, Response, layered_response
 from mistray.errors import MistrayError, errors_of
 from mistray.materials import complex_index, nearest_known_nm, resolved
 from mistray.named_values import finite_of
@@ -19,9 +18,6 @@ from mistray.ranges import INDEX_SHIFT, LAYER_NM, OfType, Several, check_fields,
 SIDES = ("outside", "front", "back")
 # Differentiable parameters of a layer, named as in `thinfilm`; n_shift and k_shift are `Layer` attributes as well
 LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
-# In a medium of larger k, a metal, light falls to 1/e within a wavelength. It is the substrate of the coating, whatever
-# its n, and light that enters it is recorded as absorbed at the surface
-METAL_K = 1 / (4 * math.pi)
 LAYER_FORM = "write 'material thickness' with the thickness in nm (99.64) or in waves (0.25w)"
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from mistray.coatings.response import Response, cosines, total_reflection
+from mistray.coatings.response import METAL_K, Response, cosines, total_reflection
 from mistray.coatings.simple import SUM_TOLERANCE
 from mistray.errors import MistrayError
 from mistray.files.number_rows import numbers, read_cells
@@ -43,7 +43,7 @@ class CoatingTable:
         Vacuum wavelengths, ascending, nm.
     cos_rare : (a,) float64
         Cosines of the angle of incidence, ascending, in the rarer of the two materials (the air side of a lens), for
-        light from either side. For an opaque coating they are those on the side of incidence.
+        light from either side. For an opaque coating, or on a metal, they are those on the side of incidence.
     shares : (w, a, 3, 2) float64
         R for light from the front, R for light from the back, and T, which is equal from both sides; for s and p.
     phasors : (w, a, 3) complex128
@@ -165,11 +165,11 @@ class CoatingTable:
             If the wavelength is outside a table of several, or a cosine is out of range.
         """
         cosine = cosines(cos_incident)
-        n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
+        n_1, n_2 = (n_front, n_back) if from_front else (n_back, n_front)
         beyond = np.zeros(len(cosine), dtype=bool)
-        if n_1 > n_2 and not self.opaque:
+        if n_1.real > n_2.real and n_2.imag <= METAL_K and not self.opaque:
             beyond = total_reflection(n_front, n_back, cosine, from_front)
-            cosine = np.sqrt(np.maximum(1 - (n_1 / n_2) ** 2 * (1 - cosine**2), 0))
+            cosine = np.sqrt(np.maximum(1 - (n_1.real / n_2.real) ** 2 * (1 - cosine**2), 0))
         shares, phasors = self._slab(wavelength_nm)
         reflection = FRONT if from_front else BACK
 

@@ -173,7 +173,7 @@ def mitsuba_source(emitter: mi.Emitter, number: int) -> Any:
         return AreaLight(emitter)
     owner = f"source '{emitter.id()}'" if emitter.id() else f"source {number}"
     if kind == "EnvironmentMapEmitter":
-        # A sky in the frame of the world, with one row of cells for each row of the image
+        # A sky in the frame of the world
         sky = mi.load_dict({"type": "sky"})
         sky.owner, sky.name = owner, emitter.id()
         sky.lay(environment(emitter), mi.traverse(emitter)["data"].shape[0])

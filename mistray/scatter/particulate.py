@@ -21,7 +21,8 @@ DUST = "dust"
 LEVEL_POWER = float(2 * CLEANED_SLOPE * np.log10(300))
 """Exponent of the level to which the covered area, 10^(0.926 log10² level), grows about level 300; 4.6."""
 GREATEST_LOSS = 0.5
-"""Fraction of the light that particles take at grazing incidence, where 1/cos θ would exceed all light."""
+"""Fraction of the light that particles take from a reflection at grazing incidence, where 1/cos θ would exceed all
+light. If they take more at normal incidence, light meets several particles, and the model does not hold."""
 LEAST_DEFLECTION = np.radians(30)
 """Least angle, rad, of light scattered away from the surface without a reflection. The lobe about the direction back to
 the light ends there, because its nodes lie too far apart near the forward direction. The part left out is above the
@@ -155,6 +156,7 @@ class Particulate(Placement):
 
         At an interface the transmitted lobe is that of normal incidence. At grazing incidence it is too strong by the
         light that is scattered away from the surface; particles that do not absorb then remove that much more light.
+        Raise `MistrayError` if the particles take more than `GREATEST_LOSS` at normal incidence.
         """
         events = self.events(from_front)
         near = self.on_near_side(n_in, n_out)
@@ -163,6 +165,11 @@ class Particulate(Placement):
         if n_in != n_out:  # the transmitted lobe does not know how much of the light stays above the horizon
             depth = max(depth, cloud.between(0, np.pi / 2) + cloud.between(LEAST_DEFLECTION, np.pi) / 2)
         limit = GREATEST_LOSS / (2 * depth)
+        if limit < 1:
+            raise MistrayError(
+                f"{self.title}: at level {self.cleanliness:.4g} the particles take {200 * depth:.3g} % of the light in "
+                f"two passages at {wavelength_nm:g} nm; they may take {100 * GREATEST_LOSS:g} %, lower the level"
+            )
         result: tuple[Lobe, ...] = ()
         if "transmission" in events:
             once = Lobe(

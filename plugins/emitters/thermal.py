@@ -114,7 +114,10 @@ class Thermal(LightSource):
         self.edges_nm = np.linspace(low, high, (bands or DEFAULT_BANDS) + 1)
         if not warmest > 0:
             self._fail("everything is at 0 K and emits nothing; give temperature_K or parts")
-        return spectrum(f"blackbody:{warmest!r}").light((low, high), bands or DEFAULT_BANDS)
+        light = spectrum(f"blackbody:{warmest!r}")
+        # As in the light, without parts that are dark
+        self.parts_nm = [part for part in pairwise(self.edges_nm.tolist()) if light.energy(*part) > 0]
+        return light.light((low, high), bands or DEFAULT_BANDS)
 
     def kelvin(self, *names: str) -> float:
         """
@@ -172,8 +175,8 @@ class Thermal(LightSource):
                 )  # fmt: skip
 
     def _radiance(self, kelvin: float, part: int | None) -> float:
-        """Return the radiance of a blackbody, W/mm²/sr, in a part of the band, by index, or in all of it for None."""
-        low, high = self.edges_nm[[0, -1]] if part is None else list(pairwise(self.edges_nm))[part]
+        """Return the radiance of a blackbody, W/mm²/sr, in a part of the light, by index, or in all of it for None."""
+        low, high = self.edges_nm[[0, -1]] if part is None else self.parts_nm[part]
         return float(band_radiance(kelvin, 1e-3 * low, 1e-3 * high))
 
     @staticmethod

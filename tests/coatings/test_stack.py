@@ -294,3 +294,14 @@ def test_shares_of_polarisations_and_sides_and_phases(read) -> None:
     assert np.degrees(at(table, 550.0, 60.0, from_front=False).phase_r[0]) == pytest.approx(170)
     # between 180 and 150 degrees lies 165, not a value on the far side of the circle
     assert np.degrees(at(table, 550.0, HALF).phase_r[0]) == pytest.approx(165)
+
+
+def test_metal_has_no_critical_angle() -> None:
+    """The index n of silver is less than 1, which is no total reflection; a table has the angles in air."""
+    columns = {"wavelength_nm": [550.0, 550.0], "angle_deg": [0.0, 60.0], "R": [0.6, 0.8], "T": [0.3, 0.1]}
+    table = CoatingTable.from_columns("columns", {key: np.array(values) for key, values in columns.items()})
+    for coating, oblique in ((Ideal(R=0.6, T=0.3), (0.6, 0.3)), (table, (0.8, 0.1))):
+        for sides, from_front in (((1.0 + 0j, 0.06 + 3.6j), True), ((0.06 + 3.6j, 1.0 + 0j), False)):
+            found = coating.response(550.0, *sides, np.array([1.0, 0.5]), from_front)
+            assert np.allclose(found.R, np.array([0.6, oblique[0]])[:, None])
+            assert np.allclose(found.T, np.array([0.3, oblique[1]])[:, None])

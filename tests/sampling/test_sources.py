@@ -67,8 +67,8 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
     "sun": ({"type": "distant_disc"}, np.pi * RADIUS**2),
     "wide disc": (
         {"type": "distant_disc", "diameter_deg": 80.0, "radiance": 3.0},
-        # Radiance is uniform in sin² θ dφ: L ∫ cos θ d(sin² θ) = L 2/3 (1 - cos³ θ)
-        3 * np.pi * 2 / 3 * (1 - np.cos(np.radians(40)) ** 3) * np.pi * RADIUS**2),
+        # Of uniform radiance: L ∫ cos θ dΩ = π L sin² θ
+        3 * np.pi * np.sin(np.radians(40)) ** 2 * np.pi * RADIUS**2),
     "sky": ({"type": "sky", "radiance": 2.0}, 2 * 2 * np.pi * np.pi * RADIUS**2),
     "part of the sky": ({"type": "sky", "half_angle_deg": 20.0},
                         np.pi * np.sin(np.radians(20)) ** 2 * np.pi * RADIUS**2),
@@ -225,17 +225,26 @@ def test_few_rays_of_a_wide_lamp() -> None:
     assert max(abs(energy.closure) for energy in runs) < 1e-5
 
 
-def test_small_suns_of_a_large_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where a picture has more rows than the sky has cells, no pixel falls between these, nor counts for a cell."""
+def test_sky_beside_a_bright_sun_has_all_its_directions() -> None:
+    """Of a sky with 1e-6 of the light, to which 8 of the 2^23 values of a random float32 lead."""
+    share, edge = 1e-6, np.cos(0.1)
+    bright = (1 - share) / share * 2 / (1 - edge)
+    sky = SkyMap(lambda d: np.where(d[:, 2] > edge, bright, 1.0), 1024)
+    rng = np.random.default_rng(0)
+    first = 1 - 2.0**-23 * rng.integers(1, 9, 4000)
+    sample = mi.Point2d(mi.Float64(first), mi.Float64(mi.Float(rng.random(4000))))
+    assert len(np.unique(np.array(sky.directions(sample))[2])) > 2000
+
+
+def test_star_in_a_sky_with_more_pixels_than_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sky_map, "MOST_ROWS", 64)
-    width = np.radians(0.7)  # of a row of the picture
-    for sun in np.random.default_rng(0).normal(size=(20, 3)):
-        towards = sun / np.linalg.norm(sun)
 
-        def radiance(d: np.ndarray, towards: np.ndarray = towards) -> np.ndarray:
-            return np.asarray(np.exp(-np.sum((d - towards) ** 2, axis=1) / width**2))
+    def star(d: np.ndarray) -> np.ndarray:
+        rows = np.floor(np.arccos(d[:, 2]) * 256 / np.pi)
+        return np.where((rows == 101) & (np.floor(np.arctan2(d[:, 1], d[:, 0]) * 256 / np.pi) == 37), 1.0, 0.0)
 
-        assert SkyMap(radiance, 256).irradiance == pytest.approx(np.pi * width**2, rel=0.02)
+    exact = np.pi / 256 * (np.cos(101 * np.pi / 256) - np.cos(102 * np.pi / 256))
+    assert SkyMap(star, 256).irradiance == pytest.approx(exact, rel=1e-9)
 
 
 def test_picture_of_a_sky(tmp_path: Path) -> None:

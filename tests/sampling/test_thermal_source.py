@@ -91,6 +91,14 @@ def test_temperatures_by_name() -> None:
         assert_z(name, energy.detected_W, exact, energy.detected_se_W, false_alarm=5e-4)
 
 
+def test_cold_surfaces_emit_in_the_lit_parts_of_their_band() -> None:
+    """At 3 K the first of five parts of the band has no light at all, and no wavelength."""
+    lamp = mi.load_dict({"type": "thermal", "temperature_K": 3.0, "band_nm": "1000, 20000", "bands": 5})
+    assert len(lamp.wavelengths_nm) == 4
+    radiances = [lamp._radiance(3.0, line) for line in range(4)]
+    assert np.allclose(radiances, lamp.weights * band_radiance(3.0, 1.0, 20.0), rtol=1e-9, atol=0)
+
+
 def test_isothermal_cavity() -> None:
     """In a grey box of one temperature every wall absorbs what it emits, and the detector π L; false alarms 0.2 %."""
     shapes = {

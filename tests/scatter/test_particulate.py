@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from scipy.interpolate import CubicSpline
 
 from mistray.kernel.scatter_tables import make_side, side_of
@@ -58,6 +59,15 @@ class OneSize(Particulate):
         area = self.PER_UM2 * np.pi * 1.5**2
         f = self.PER_UM2 * answer.intensity[0] / k**2
         return Cloud(answer.extinction[0] * area, answer.scattering[0] * area, CubicSpline(u, np.log(f)))
+
+
+class TooMany(OneSize):
+    PER_UM2 = 0.03
+
+
+def test_light_that_meets_several_particles_is_refused() -> None:
+    with refused("take .* % of the light in two passages at 550 nm"):
+        TooMany(level=300.0).lobes(WAVELENGTH_NM, 1.0, 1.0, True)
 
 
 def test_mirrors_and_refracted_light_against_an_exact_calculation() -> None:
