@@ -29,7 +29,7 @@ class SkyMap:
         Radiance (n,), W/mm²/sr, of directions (n, 3) in which the light travels: unit vectors in the frame of the axis.
     rows : int
         Number of cells in polar angle, clipped to `LEAST_ROWS` … `MOST_ROWS`; there are twice as many in azimuth. The
-        radiance of a cell is the mean over its parts. There are more of them if more rows are wanted, up to
+        radiance of a cell is the mean over its parts. There are more of them if more rows are requested, up to
         `MOST_PARTS` each way.
 
     Attributes
