@@ -43,8 +43,8 @@ class Message(Enum):
     )
     VIEW_LOST = (
         Code.MEDIUM,
-        "up to {share:.1e} of the light met a surface from the wrong material, or left the scene within a lens; the "
-        "geometry has a gap or an overlap, or a lens without an edge",
+        "up to {share:.1e} of the light met a surface from the wrong material, or left the scene within a lens; look "
+        "for a gap, an overlap or a missing edge",
     )
     OPEN = Code.CLOSURE, "the energy closes to {value:.1e} only, not to {limit:g}"
 
