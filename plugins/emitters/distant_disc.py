@@ -24,9 +24,9 @@ class DistantDisc(DistantSource):
     Disc at infinity (:monosp:`distant_disc`): the sun (0.533°), the moon (0.518°), a planet.
 
     The light of its centre travels along Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``, as for
-    `collimated`, and lights the whole scene. Towards the limb the radiance falls as 1 - ``limb`` (1 - μ). At the angle ρ from
-    the centre of a disc of angular radius ρ₀, μ² is 1 - (1 - cos ρ)/(1 - cos ρ₀). This is linear limb darkening, 0.6
-    for the sun in the green.
+    `collimated`, and lights the whole scene. Towards the limb the radiance falls as 1 - ``limb`` (1 - μ). At the angle
+    ρ from the centre of a disc of angular radius ρ₀, μ² is 1 - (1 - cos ρ)/(1 - cos ρ₀). This is linear limb
+    darkening, 0.6 for the sun in the green.
 
     .. parameters::
 
