@@ -29,7 +29,6 @@ from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
-from mistray.surfaces.upload import upload
 
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20  # largest sizes of the tables of paths, and of their sums by cell
 # Slots per start ray, and the fewest: 1e4 rays have found up to 2400 paths; setting a table of all to zero takes 0.13 s
@@ -133,11 +132,8 @@ class GridTrace:
         for table, share in zip(self._tables, self.weights, strict=True):
             scattering = Scattering(ScatterTables(table, aims, backward=backward))
             closed = closed_media(table, self._outside)
-            if closed is None:
-                bands.append(Band(table, scattering, share, None, 0))
-            else:
-                outside = table.optics.media.index(self._outside)
-                bands.append(Band(table, scattering, share, upload(mi.Bool, closed), outside))
+            outside = 0 if closed is None else table.optics.media.index(self._outside)
+            bands.append(Band(table, scattering, share, closed, outside))
         return bands
 
     @property

@@ -147,6 +147,7 @@ class _Tree:
         missed = ~hit & (start.w > 0)
         run = start.given("run", full(NO_RUN))
         hit = self.limits.arrive(run, s, start.w, hit, mi.Bool(True))
+
         # Record the start, the segment and what leaves the scene
         lose, depth = self.recorders.lose, start.given("depth", full())
         channel, leaving = self.scene.way_out(medium, missed)
@@ -155,8 +156,8 @@ class _Tree:
         lose(STARTED, 1.0, mi.Bool(True), memory)
         self.recorders.travel(Segment(start, o, d, start.w, medium, t, missed, under_way), memory)
         if self.scene.backward:
-            gone = Departure(start, d, start.w, reflections, scatters, key, depth, lambda k, _: k, leaving)
-            self.recorders.depart(gone, memory)
+            departure = Departure(start, d, start.w, reflections, scatters, key, depth, lambda k, _: k, leaving)
+            self.recorders.depart(departure, memory)
 
         # Attenuate
         w, in_scattered = self._attenuate(start, start.w, medium, t, hit, mi.Bool(True))
@@ -337,7 +338,8 @@ class _Tree:
 
         # Record the hit, with MIS weights if it is on the detector of a forward trace
         detected = mi.Bool(False) if self.scene.backward else counted & ((it.word & DETECTOR) != 0) & counts
-        detected &= mi.Bool(self.recorders.incident) | (absorbed > 0)
+        if not self.recorders.incident:
+            detected &= absorbed > 0
         code = event_of(s, ABSORBED)
         ratios = None if self.scene.backward else self.pdf_ratios
         hits = Visit(

@@ -301,18 +301,15 @@ def medium_around(table: SurfaceTable, source: SceneSource) -> int:
     o, d = source.probes(mi.Point2f(*(upload(mi.Float, v) for v in rng.random((2, PROBES)))))
     surface, front = _first_sides(table, source, o, d)
     # One of them in a material that transmits is enough
-    metals = []
-    for s, from_front in sorted(set(zip(surface.tolist(), front.tolist(), strict=True))):
-        material = table.interfaces[s].front if from_front else table.interfaces[s].back
-        if complex_index(material, source.wavelength_nm).imag <= METAL_K:
-            break
-        metals.append((material, table.ids[s]))
-    else:
-        for material, name in metals:
-            raise MistrayError(
-                f"source '{source.name}': it stands in '{material}' behind surface '{name}', where nothing travels; "
-                "move it"
-            )
+    materials = [
+        (table.interfaces[s].front if from_front else table.interfaces[s].back, table.ids[s])
+        for s, from_front in sorted(set(zip(surface.tolist(), front.tolist(), strict=True)))
+    ]
+    if materials and all(complex_index(one, source.wavelength_nm).imag > METAL_K for one, _ in materials):
+        material, name = materials[0]
+        raise MistrayError(
+            f"source '{source.name}': it stands in '{material}' behind surface '{name}', where nothing travels; move it"
+        )
     if source.medium or not table.optics.absorbs:
         return source.medium
     # The medium that they declare; where a narrow cone meets walls alone, other directions may know

@@ -13,10 +13,11 @@ import numpy as np
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import remembered, signature
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
 
 SAME_INDEX = 1e-3  # difference of refractive indices, relative, up to which media are one: air and vacuum
 
-_known: dict[str, str] = {}
+_known: dict[str, int] = {}
 
 
 def outer_medium(table: SurfaceTable, scene: mi.Scene) -> str:
@@ -27,12 +28,13 @@ def outer_medium(table: SurfaceTable, scene: mi.Scene) -> str:
     absorbs or scatters, so that no light comes from far away.
     """
     key = signature(table, scene, table.detectors)
-    return remembered(_known, key, lambda: table.optics.media[_first_declared(table, scene)])
+    # Equal media of two scenes may have other names
+    return table.optics.media[remembered(_known, key, lambda: _first_declared(table, scene))]
 
 
-def closed_media(table: SurfaceTable, outside: str) -> np.ndarray | None:
+def closed_media(table: SurfaceTable, outside: str) -> mi.Bool | None:
     """
-    Return a mask of the media, (m,) bool, in which no ray can leave the scene; None: there are none.
+    Return a mask of the media, by their positions, in which no ray can leave the scene; None: there are none.
 
     These are all whose refractive indices differ from that of the medium `outside`, see `outer_medium`.
     """
@@ -41,7 +43,7 @@ def closed_media(table: SurfaceTable, outside: str) -> np.ndarray | None:
     n = table.optics.host_media_n
     other = np.abs(n / n[table.optics.media.index(outside)] - 1) > SAME_INDEX
     other[0] = False
-    return other if other.any() else None
+    return upload(mi.Bool, other) if other.any() else None
 
 
 def _first_declared(table: SurfaceTable, scene: mi.Scene) -> int:

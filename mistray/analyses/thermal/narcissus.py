@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.estimate import UNKNOWN, Estimate
-from mistray.events import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
+from mistray.events import REFLECTED, TOTAL, TRANSMITTED, event_of
 from mistray.kernel.interaction import counts_as_reflection, interact
 from mistray.kernel.kernel_scene import next_hit
 from mistray.kernel.scatter_tables import ScatterTables
@@ -30,7 +30,7 @@ from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.upload import download, upload
+from mistray.surfaces.upload import download
 from mistray.toolkit.rows import column, derived
 
 ALONE = "(total reflection)"
@@ -149,8 +149,7 @@ def returns(
     cell = zone * BATCHES + np.array(start.batch)
     design = design_sequences(scene, table)
     image = DesignKeys(design, table.detector) if has_optics(table) and design.lists.get(table.detector) else None
-    inside = closed_media(table, outer_medium(table, scene))
-    closed = None if inside is None else upload(mi.Bool, inside)
+    closed = closed_media(table, outer_medium(table, scene))
     # Of the detector itself, of all that is cold, and in the last row of the scene
     sums = [dr.zeros(mi.Float64, rows * ZONES * BATCHES) for rows in (table.count + 1, table.count + 2)]
     weights = np.array([missing.get(name, 0.0) for name in table.ids])
@@ -268,7 +267,7 @@ def _follow(
         d, medium = child(it.transmitted, it.reflected), child(it.medium_out, inside)
         w, by = child(w * T, w * R), child(by, dr.select(free, by, s))
         bounced = dr.select(it.tir, mi.UInt32(TOTAL), REFLECTED)
-        key = child(*(extend_key(key, (s << EVENT_BITS) | what) for what in (mi.UInt32(TRANSMITTED), bounced)))
+        key = child(*(extend_key(key, event_of(s, what)) for what in (mi.UInt32(TRANSMITTED), bounced)))
         behind = dr.gather(mi.Vector3f, normal, lane) if has_mitsuba_shapes else None
         dr.eval(o, d, w, by, key, medium, cell, last)
 
