@@ -163,7 +163,9 @@ class BackwardTrace(GridTrace):
         self._sharing = sharing
         # Weight windows: inverse bounds, of which 0 and inf have no effect
         self._windows = self._uploaded(sharing.windows, sharing.points)
-        self._forward_windows = self._uploaded(sharing.forward_windows, sharing.points, sharing.values)
+        # Without values, too, they are read: the kernel remains the same
+        values = np.ones(self.unit.size) if sharing.values is None else sharing.values
+        self._forward_windows = self._uploaded(sharing.forward_windows, sharing.points, values)
         for start in self.starts:
             start.guide(sharing.ends)
         if self.forward:

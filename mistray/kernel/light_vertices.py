@@ -39,7 +39,7 @@ class LightVertexRecorder(Recorder):
         self._words = [dr.zeros(mi.UInt32, room) for _ in range(4)]
         self._floats = [dr.zeros(mi.Float, room) for _ in range(6)]
         self._keys = dr.zeros(mi.UInt64, room)
-        dr.eval(self._count, self._words, self._floats, self._keys)
+        dr.make_opaque(self._count, self._words, self._floats, self._keys)
 
     @property
     def count(self) -> int:

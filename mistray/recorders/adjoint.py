@@ -89,7 +89,7 @@ class Adjoint(Recorder):
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         self.unknown = dr.zeros(mi.Float64, 1)
-        dr.eval(self.sums, self.unknown)
+        dr.make_opaque(self.sums, self.unknown)
 
     @property
     def by_ray(self) -> bool:

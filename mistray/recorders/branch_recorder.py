@@ -118,8 +118,8 @@ class BranchRecorder(Recorder):
         self.place = dr.zeros(mi.Float, 2 * self.capacity)
         self.path = dr.zeros(mi.UInt64, self.capacity)
         self.peak = dr.zeros(mi.UInt32, 1)
-        dr.eval(self.count, self.lane, self.length, self.nodes, self.weight, self.heading, self.place)
-        dr.eval(self.path, self.peak)
+        dr.make_opaque(self.count, self.lane, self.length, self.nodes, self.weight, self.heading, self.place)
+        dr.make_opaque(self.path, self.peak)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """
@@ -207,7 +207,7 @@ class BranchRecorder(Recorder):
     def clear(self) -> None:
         """Discard all recorded branches, so that the buffer is empty."""
         self.count = dr.zeros(mi.UInt32, 1)
-        dr.eval(self.count)
+        dr.make_opaque(self.count)
 
     @property
     def kept(self) -> int:
@@ -325,7 +325,7 @@ class CellRecorder(ElsewhereRecorder):
         self.cell = dr.zeros(mi.UInt32, self.capacity)
         self.batch = dr.zeros(mi.UInt32, self.capacity)
         self.absorbed = dr.zeros(mi.Float64, self.capacity)
-        dr.eval(self.cell, self.batch, self.absorbed)
+        dr.make_opaque(self.cell, self.batch, self.absorbed)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record rays that meet mapped surfaces, with map cell, batch and absorbed flux (of a start ray's flux)."""

@@ -155,7 +155,7 @@ class SkyRecorder(Recorder):
         self._sums = dr.zeros(mi.Float64, CLASS_COUNT * cells * BATCHES)
         self._largest = dr.zeros(mi.UInt32, cells)  # bits of the largest contribution of a scattered ray
         self._maps = dr.zeros(mi.Float64, 2 * cells * pixels) if pixels else None
-        dr.eval(self._sums, self._largest, self._maps)
+        dr.make_opaque(self._sums, self._largest, self._maps)
 
     def contribution(self, end: Any) -> SkyContribution:
         """
@@ -246,7 +246,7 @@ class DirectionRecorder(SkyRecorder):
         self._half = dr.opaque(mi.Float, grid.azimuth_cell_deg / 2)
         self._axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in column)) for column in grid.rotation.T]
         self.elsewhere = dr.zeros(mi.Float64, BATCHES)
-        dr.eval(self.elsewhere)
+        dr.make_opaque(self.elsewhere)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
         """
@@ -341,7 +341,7 @@ class ArrivalRecorder(SkyRecorder):
         super().__init__(shape, design, mis, paths, 0 if film is None else film.width * film.height, derivative)
         self._film, self._scattered_only = film, scattered_only
         self._segments = dr.zeros(mi.Float64, shape[0] * shape[1])
-        dr.eval(self._segments)
+        dr.make_opaque(self._segments)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add the MIS-weighted throughput of rays that meet the detector to the sums of class and start cell."""

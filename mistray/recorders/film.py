@@ -125,7 +125,7 @@ class Images(Recorder):
         self._film = film
         self._only = None if only is None else dr.opaque(mi.UInt32, only)
         self.sums = dr.zeros(mi.Float64, film.width * film.height * (film.images if count is None else count))
-        dr.eval(self.sums)
+        dr.make_opaque(self.sums)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """

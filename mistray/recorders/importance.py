@@ -55,11 +55,13 @@ class ImportanceSums:
         self._surfaces = surfaces
         # Sums of `read`, each with its squares
         self._sums = [dr.zeros(mi.Float64, surfaces * WAYS) for _ in range(6)]
-        self._placed = False  # where media scatter, there are no weight windows
-        dr.eval(self._sums)
+        self._placed = False
+        dr.make_opaque(self._sums)
 
     def begin(self, max_events: int, memory: Memory) -> None:
         """Allocate memory for the place of each event on the path of a lane."""
+        # Nothing has a place before the first visit; where media scatter, there are no weight windows, nor places
+        self._placed = False
         memory[PLACES] = dr.alloc_local(mi.UInt32, max_events)
 
     def _add(self, first: int, value: mi.Float64, row: mi.UInt32, active: mi.Bool) -> None:

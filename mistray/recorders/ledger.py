@@ -228,12 +228,12 @@ class Ledger(Recorder):
         self.lengths = dr.zeros(mi.UInt32, capacity)
         self.events = _zeros(mi.UInt32, capacity * max_events)
         self.sums = _zeros(mi.Float64, capacity * BATCHES * self.row)
-        dr.eval(self.keys, self.lengths, self.events, self.sums)
+        dr.make_opaque(self.keys, self.lengths, self.events, self.sums)
 
     def clear_sums(self) -> None:
         """Reset the flux sums to zero but keep the paths, so that a second trace finds the same slots."""
         self.sums = _zeros(mi.Float64, self.capacity * BATCHES * self.row)
-        dr.eval(self.sums)
+        dr.make_opaque(self.sums)
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
         """

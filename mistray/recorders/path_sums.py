@@ -77,7 +77,7 @@ class PathSums:
         self.events = dr.zeros(mi.UInt32, paths * max_events)
         self.entries = dr.zeros(mi.UInt32, entries)
         self.sums = dr.zeros(mi.Float64, entries * HIT_SUMS)
-        dr.eval(self.keys, self.lengths, self.events, self.entries, self.sums)
+        dr.make_opaque(self.keys, self.lengths, self.events, self.entries, self.sums)
 
     def record(
         self,

@@ -123,7 +123,7 @@ class _StartSamples(Recorder):
         self._words = [dr.empty(mi.UInt32, capacity) for _ in range(4)]
         self._floats = [dr.empty(mi.Float, capacity) for _ in range(13)]
         self._segments = dr.zeros(mi.Float64, cells)
-        dr.eval(self._count, self._words, self._floats, self._segments)
+        dr.make_opaque(self._count, self._words, self._floats, self._segments)
 
     @property
     def by_ray(self) -> bool:

@@ -71,7 +71,7 @@ class Tallies(Recorder):
         self.media = dr.zeros(mi.Float64, media * BATCHES)
         self.channels = dr.zeros(mi.Float64, CHANNEL_COUNT * BATCHES)
         self.largest = dr.zeros(mi.UInt32, 1)
-        dr.eval(self.surfaces, self.media, self.channels, self.largest)
+        dr.make_opaque(self.surfaces, self.media, self.channels, self.largest)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """

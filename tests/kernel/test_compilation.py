@@ -18,6 +18,7 @@ from oracles.scatter_scenes import bsdf_xml, placed_xml, scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, write
 
 import mistray
+from mistray.kernel.launches import Launches
 from mistray.surfaces.upload import download, upload
 
 PAGE = Path(__file__).parents[2] / "docs" / "kernels.md"
@@ -186,6 +187,36 @@ def test_compiles(what: str, kernels: Kernels) -> None:
     before = known(kernels)
     for text, arguments in COMPILES[what]:
         assert kernels(text, arguments) - before, arguments
+
+
+@pytest.mark.long
+def test_later_launches_of_a_pst_compile_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounds of its pilot have the kernels of the first one, though more of its tables are filled."""
+    launched: dict[Launches, list[set[str]]] = {}
+    once, history = Launches.time, dr.kernel_history
+    kernels: list[dict[str, Any]] = []
+
+    def read() -> list[dict[str, Any]]:  # a first launch reads the history, to time itself
+        kernels.extend(history())
+        return kernels
+
+    def time(self: Launches, lanes: int, work: Callable[[], object]) -> None:
+        read()
+        kernels.clear()
+        once(self, lanes, work)
+        large = {str(one["hash"]) for one in read() if one.get("operation_count", 0) > 1000}
+        launched.setdefault(self, []).append(large)
+
+    monkeypatch.setattr(Launches, "time", time)
+    monkeypatch.setattr(dr, "kernel_history", read)
+    loaded = mistray.load(write(tmp_path, scene(models=HARVEY)))
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        mistray.pst(loaded, [10, 20], rays=3000, max_scatters=1)
+    kinds = [rounds for rounds in launched.values() if len(rounds) > 2]
+    assert len(kinds) >= 3
+    for first, *later in kinds:
+        assert first
+        assert set().union(*later) <= first
 
 
 def edits(rng: random.Random) -> Case:

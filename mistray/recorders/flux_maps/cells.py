@@ -89,7 +89,7 @@ class PassingLight(Recorder):
         self._nm = scene.table.wavelength_nm
         self._sums = dr.zeros(mi.Float64, self.groups * self.cells)
         self._started = dr.zeros(mi.Float64, BATCHES)
-        dr.eval(self._sums, self._started)
+        dr.make_opaque(self._sums, self._started)
 
     def add(self, start: StartRays, cell: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
         """Add the flux of rays, in units of a start ray's flux, to the sums of the given cells."""
