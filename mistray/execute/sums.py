@@ -11,10 +11,14 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Base class of sums over start rays; `+` adds them field by field. A field that is None holds no sums."""
+    """
+    Base class of sums over start rays; `+` adds them field by field, of a field `largest` it takes the maximum.
+
+    A field that is None holds no sums.
+    """
 
     def __add__(self, other: Self) -> Self:
-        """Return the sums over the start rays of both objects, added field by field."""
+        """Return the sums over the start rays of both objects, see the class; a field None of one is the other's."""
         joined = {f.name: _joined(f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
         return type(self)(**joined)
 

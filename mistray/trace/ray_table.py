@@ -187,7 +187,12 @@ class _Search:
         return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
 
     def _facts(self, events: Events, given: Columns) -> Columns:
-        """Return the ray table's columns for rays with these events; without `given`, columns of no rows."""
+        """
+        Return all columns of the ray table, (n,) each, for rays with these events.
+
+        `given` holds the columns of these rays that do not follow from their events, by name; of no rays it may be
+        empty.
+        """
         whole = ("path_id", "start_ray", "node")
         given = {name: np.zeros(0, dtype=np.int64 if name in whole else float) for name in COLUMNS} | given
         source, count, words = self._run.source, len(events), events.intercepts

@@ -15,12 +15,13 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 import mistray
 from mistray.events import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
 from mistray.execute.tracer import prepare
+from mistray.kernel.targets import AimSet, Target
 from mistray.light import AS_THE_SCENE, Light
 from mistray.prescription import Coating
 from mistray.scenes.cooke_triplet.prescription import build
 from mistray.settings import Settings
 from mistray.trace.host import polarization_choice
-from mistray.trace.host.both_ways import Arrivals, follow
+from mistray.trace.host.both_ways import Arrivals, follow, scattered_directions
 from mistray.trace.host.polarization_choice import LEAST_CHANGE, PolarizationChoice, chosen_polarization
 
 GLASS = 1.5
@@ -252,3 +253,14 @@ def test_flux_along_the_way(coated, polarization, field_deg) -> None:
             np.testing.assert_allclose(measured[2:] / measured[1:-1], shares, rtol=1e-5, atol=4e-6, err_msg=row.events)
             kinds.add(row.kind)
     assert kinds == {"direct", "ghost"}
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_the_pdf_of_scattered_light_counts_all_targets(reverse: bool) -> None:
+    """The mean of 1/pdf is the solid angle of all targets, 2π(1 - cos θ) of the larger disc; false alarms 1e-5 each."""
+    discs = [Target("ellipse", (0, 0, -5 if reverse else 5), (r, 0, 0), (0, r, 0), reverse=reverse) for r in (2, 1)]
+    o, outward = np.zeros((40_000, 3)), np.tile([0.0, 0.0, 1.0], (40_000, 1))
+    d, per_sr = scattered_directions(o, outward, AimSet.of(discs, 1, [3.0, 1.0]), np.random.default_rng(7))
+    assert np.all(d[:, 2] >= 5 / np.hypot(5, 2) - 1e-12)
+    error = np.std(1 / per_sr) / np.sqrt(len(o))
+    assert abs(np.mean(1 / per_sr) - 2 * np.pi * (1 - 5 / np.hypot(5, 2))) < 4.4 * error

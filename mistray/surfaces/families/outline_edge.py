@@ -27,6 +27,9 @@ class FreeformFamily:
     """
     Form of a freeform's sag and outline, on which its kernel code depends.
 
+    Methods take points x, y, z, mm, in the frame about the middle of the outline, and a mapping `n` from the names in
+    `numbers` to values: lengths in mm, curvatures in 1/mm, angles in degrees.
+
     Attributes
     ----------
     sag : FreeformSag
@@ -52,7 +55,7 @@ class FreeformFamily:
         return (*self.sag.numbers, *self.names)
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the implicit function F = z - sag, mm, at points, mm; 0 on the surface."""
+        """Return F = z - sag(x, y), mm, at points, mm; 0 on the surface."""
         return self.sag.residual(x, y, z, n)
 
     def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
@@ -60,14 +63,15 @@ class FreeformFamily:
         return self.sag.gradient(x, y, z, n)
 
     def coordinate(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the distance of points beyond the outline's edge, mm; negative inside. It is exact near the edge."""
+        """Return how far points lie beyond the outline's edge, mm: minus their `depth`; negative inside."""
         return -self.depth(x, y, n)
 
     def depth(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
         """
         Return the depth of points within the outline, mm: distance to its edge, negative outside.
 
-        Near the edge the depth is the distance from it. Farther away only its sign is exact.
+        Near the edge the depth is the distance from it, except at corners; for an ellipse it is so to first order.
+        Farther away only its sign is exact.
         """
         found: Any = None
         for k, (kind, sign, sizes, turned) in enumerate(self.outline, start=1):

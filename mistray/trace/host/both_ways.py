@@ -440,7 +440,7 @@ class _Tree:
         """
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
-        d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
+        d, per_sr = scattered_directions(b.o, outward, self._aims.get((case.surface, to_back)), self._rng)
         cos_s = np.einsum("ij,ij->i", d, outward)
         tangent = b.d - np.einsum("ij,ij->i", b.d, outward)[:, None] * outward
         size = np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -470,28 +470,38 @@ class _Tree:
             medium=np.full(len(d), medium),
         )
 
-    def _directions(self, o: Floats, outward: Floats, aim: AimSet | None) -> tuple[Floats, Floats]:
-        """
-        Return directions, (n, 3), of scattered rays from origins o (mm), and their pdf, (n,), 1/sr.
 
-        They go to points on the flat targets of `aim`; without such targets they are Lambertian about `outward`.
-        """
-        flat = [target for target in aim.targets if isinstance(target, Target)] if aim is not None else []
-        if not flat:
-            d = lambertian_directions(outward, self._rng)
-            return d, np.einsum("ij,ij->i", d, outward) / np.pi
-        shares = np.array([target.share for target in flat])
-        chosen = self._rng.choice(len(flat), len(o), p=shares / shares.sum())
-        d, per_sr = np.zeros_like(o), np.zeros(len(o))
-        for k, target in enumerate(flat):
-            at = chosen == k
-            way = target.points(self._rng.random((int(at.sum()), 2))) - o[at]
-            length = np.linalg.norm(way, axis=1)
-            d[at] = way / length[:, None] * (-1 if target.reverse else 1)
-            slope = np.abs(d[at] @ target.normal)
+def scattered_directions(
+    o: Floats, outward: Floats, aim: AimSet | None, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """
+    Return unit directions, (n, 3), of scattered rays from origins o (mm), and their pdf, (n,), 1/sr.
+
+    They go to points on the flat targets of `aim`, or away from those of a virtual one; targets that overlap add
+    to the pdf. Without flat targets they are Lambertian about the unit normals `outward`.
+    """
+    flat = [target for target in aim.targets if isinstance(target, Target)] if aim is not None else []
+    if not flat:
+        d = lambertian_directions(outward, rng)
+        return d, np.einsum("ij,ij->i", d, outward) / np.pi
+    shares = np.array([target.share for target in flat])
+    shares /= shares.sum()
+    chosen = rng.choice(len(flat), len(o), p=shares)
+    d = np.zeros_like(o)
+    for k, target in enumerate(flat):
+        at = chosen == k
+        way = (target.points(rng.random((int(at.sum()), 2))) - o[at]) * (-1 if target.reverse else 1)
+        d[at] = way / np.linalg.norm(way, axis=1, keepdims=True)
+    per_sr = np.zeros(len(o))
+    for k, target in enumerate(flat):
+        slope = d @ target.normal
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            r = (target.centre - o) @ target.normal / slope
+            # A ray drawn for a target at its edge may miss it by rounding
+            met = ((r < 0) == target.reverse) & (target.holds(o + r[:, None] * d) | (chosen == k))
             # From area to solid angle: r²/(A |cos θ|)
-            per_sr[at] = length**2 / (target.area * np.maximum(slope, 1e-9)) * shares[k] / shares.sum()
-        return d, per_sr
+            per_sr += np.where(met, shares[k] * r**2 / (target.area * np.maximum(np.abs(slope), 1e-9)), 0)
+    return d, per_sr
 
 
 def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[Arrivals]:
