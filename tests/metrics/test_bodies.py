@@ -12,7 +12,7 @@ from oracles.scatter_integrals import disc_to_disc
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
-from mistray.analyses.import_lens.entrances import entrances
+from mistray.analyses.import_lens.entrances import Entrances, entrances
 from mistray.analyses.optimize.study.variables import Variables, find_variables
 from mistray.analyses.sweep.configurations import Configuration, resolve
 from mistray.errors import MistrayError
@@ -357,3 +357,4 @@ def test_around_a_sheet(load_scene) -> None:
     assert found.rays >= 100
     found = entrances(load_scene(scene_text(DISC)))
     assert (found.first, found.rays) == ("", 0)
+    assert "below 95 %" in str(Entrances("sheet", 1, 0.0, 0.0, {}))  # one ray alone

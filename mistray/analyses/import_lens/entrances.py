@@ -16,7 +16,7 @@ from mistray.trace.host.ray_sources import DetectorView
 
 PASS, MOST_RAYS = 1000, 8000  # rays at a time, and in all
 ENOUGH = 100  # of them that see the source's side
-NONE_FOUND = 3.0  # rays: if as many are expected and none is found, that is chance in 5 % of all cases
+CHANCE = 0.05  # probability that none of the rays finds an entrance with the share that is stated as the bound
 TOLD = 3  # surfaces that a sentence names
 
 
@@ -52,7 +52,7 @@ class Entrances:
         if not self.rays:
             return "the detector sees nothing of the source's side"
         if not self.others:
-            least = percent_text(NONE_FOUND / self.rays, 1)
+            least = percent_text(1 - CHANCE ** (1 / self.rays), 1)
             return f"all that the detector sees of the source's side enters by '{self.first}' (others: below {least})"
         named = [f"{name} ({percent_text(share)})" for name, share in list(self.others.items())[:TOLD]]
         more = [f"{len(self.others) - TOLD} more"] if len(self.others) > TOLD else []
