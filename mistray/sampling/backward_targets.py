@@ -27,13 +27,13 @@ from mistray.sampling.importance_targets import (
     SEARCH_SHARE,
     automatic_bulk_targets,
     automatic_targets,
-    remembered,
     signature,
 )
 from mistray.settings import Settings
 from mistray.surfaces.host_points import across, box_corners, lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.optics import MIRROR, OPAQUE
+from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surfaces import SurfaceTable, solid_shapes
 from mistray.time_budget import fewer_rays, share
 

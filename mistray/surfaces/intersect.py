@@ -22,6 +22,7 @@ from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere
 from mistray.surfaces.extrema import smaller
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.mosaic_search import MosaicSearch, mosaics
+from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surface import NO_SURFACE, RECTANGLE, TracedSurface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.tree_search import TreeSearch
@@ -32,6 +33,11 @@ SLACK = 1e-5  # margin for rounding, in units of the sizes of a group of walls
 
 class Intersector:
     """Search for the nearest hit of rays with the analytic surfaces of a `SurfaceTable`, in the kernel."""
+
+    @classmethod
+    def of(cls, table: SurfaceTable) -> Intersector:
+        """Return the search of a table, which all tables of the same geometry share."""
+        return remembered(table.shared, "intersector", lambda: cls(table.without_scene()))
 
     def __init__(self, table: SurfaceTable) -> None:
         self.pieces = table.pieces

@@ -28,11 +28,12 @@ from mistray.execute.tracer import Run, prepare
 from mistray.light import AS_THE_SCENE, Light
 from mistray.messages import Message
 from mistray.notes import Note
-from mistray.sampling.importance_targets import remembered, signature
+from mistray.sampling.importance_targets import signature
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
+from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.history import spread
 from mistray.trace.host.both_ways import Arrivals, follow, started
@@ -137,7 +138,7 @@ def chosen_polarization(
     lights = [_with_few_wavelengths(beam) for beam in _spread(beams, MOST_RUNS)]
     runs = [(_at(light, len(beams) > 1), run) for light in lights for run in runs_of(settings, light)]
     tables = {id(run.table): run.table for _, run in runs}
-    if not any(_polarizes(table) for table in tables.values()):
+    if not any(remembered(table.kept, "polarizes", partial(_polarizes, table)) for table in tables.values()):
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
 
     # A single beam is tested at the angles of the series beside it, so that traces at many angles share their pilots
