@@ -69,15 +69,16 @@ def traced_tables(
     wavelengths_nm : sequence of float
         Vacuum wavelengths, nm.
     """
-    kept, mirrors = KeptTables(scene), frozenset[int]()
-    table = kept.table(wavelengths_nm[0], detector, stokes)
+    kept = KeptTables(scene)
+    table, *others = (kept.table(wavelength, detector, stokes) for wavelength in wavelengths_nm)
     # The search is skipped where no surface could become a mirror by it
     bare = (table.optics.host_words & np.uint32(MIRROR | DETECTOR)) == 0
     undeclared = np.flatnonzero(table.optics.mostly_reflects & bare)
-    if len(undeclared):
-        design = design_sequences(scene, table)
-        reflectors = frozenset().union(*(design.reflectors(one) for one in table.detectors))
-        mirrors = reflectors.intersection(undeclared.tolist())
+    if not len(undeclared):
+        return [table, *others]
+    design = design_sequences(scene, table)
+    reflectors = frozenset().union(*(design.reflectors(one) for one in table.detectors))
+    mirrors = reflectors.intersection(undeclared.tolist())
     return [kept.table(wavelength, detector, stokes, mirrors) for wavelength in wavelengths_nm]
 
 

@@ -237,19 +237,26 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
 def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
     """Return a hash of everything `_pilot` depends on: surfaces, coatings, scatter, settings and start rays."""
     digest = hashlib.sha256()
-    for field, run in runs:
-        table = run.table
+    tables = {_of_table(run): (run.table, run.scattering) for _, run in runs}
+    digest.update(fingerprint(tables.values()).encode())
+    for table, _ in tables.values():
         digest.update(signature(table, scene, table.detectors).encode())
         digest.update(repr([hash(one.coating) for one in table.interfaces]).encode())
-        digest.update(repr((field, run.source.name, replace(run.settings, rays=1, seed=0))).encode())
+    if runs and runs[0][1].table.mitsuba_scene is not None:  # its numbers, such as vertices, are not in the signature
+        for numbers in read_numbers(scene).values():
+            digest.update(numbers.tobytes())
+    for field, run in runs:
+        facts = field, run.source.name, *_of_table(run), replace(run.settings, rays=1, seed=0)
+        digest.update(repr(facts).encode())
         start, unit = started(run, ROUNDS[0])
-        digest.update(fingerprint([(table, run.scattering)]).encode())
         for values in (start.o, start.d, start.mean, unit):
             digest.update(np.array(values).tobytes())
-        if table.mitsuba_scene is not None:  # numbers of its shapes, such as vertices, are not in the signature
-            for values in read_numbers(scene).values():
-                digest.update(values.tobytes())
     return digest.hexdigest()
+
+
+def _of_table(run: Run) -> tuple[float, tuple[int, ...]]:
+    """Return what tells the surface table of a run from others of the scene: its wavelength, nm, and detectors."""
+    return run.table.wavelength_nm, tuple(run.table.detectors)
 
 
 def _at(light: Light, several: bool = True) -> str:
