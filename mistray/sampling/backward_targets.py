@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.kernel.targets import AimSet, Place, Side, Target
 from mistray.sampling.design.probes import DesignStep
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
@@ -33,7 +34,6 @@ from mistray.settings import Settings
 from mistray.surfaces.host_points import across, box_corners, lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.optics import MIRROR, OPAQUE
-from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surfaces import SurfaceTable, solid_shapes
 from mistray.time_budget import fewer_rays, share
 

@@ -23,6 +23,7 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.kernel.targets import AimSet, Inside, Place, Side, Target
 from mistray.sampling.bulk_aiming import Appearance, Sight, apparent, arrivals, body_targets, scattering_bodies
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
@@ -32,7 +33,6 @@ from mistray.sampling.scene_targets import scene_targets
 from mistray.settings import Settings
 from mistray.surfaces.host_points import lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
-from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import fewer_rays, share, time_is_up
 

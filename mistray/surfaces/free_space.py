@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray._mitsuba_compat import mesh_arrays
-from mistray.surfaces.remembered import remembered
+from mistray.cache.remembered import remembered
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:

@@ -17,12 +17,12 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray.cache.remembered import remembered
 from mistray.surfaces.aspheres import AsphereSearch
 from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere, turned
 from mistray.surfaces.extrema import smaller
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.mosaic_search import MosaicSearch, mosaics
-from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surface import NO_SURFACE, RECTANGLE, TracedSurface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.tree_search import TreeSearch

@@ -22,6 +22,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion
 from mistray.ranges import FILM_PIXELS, FILM_SIDE, several
@@ -32,7 +33,6 @@ from mistray.surfaces.family_table import FamilyTable
 from mistray.surfaces.free_space import FreeSpace
 from mistray.surfaces.host_rays import HostSurfaces
 from mistray.surfaces.optics import ASPHERIC, DETECTOR, MIRROR, STOCK, WALL, Optics
-from mistray.surfaces.remembered import remembered
 from mistray.surfaces.seams import WallRims, let_overlap
 from mistray.surfaces.shell_tree import ShellTree, many
 from mistray.surfaces.surface import TracedSurface
@@ -98,7 +98,7 @@ class SurfaceTable:
     Attributes
     ----------
     scene : mi.Scene or None
-        Scene that was given; None in tables that are kept with it, see `mistray.surfaces.kept_tables`.
+        Scene that was given; None in tables that are kept with it, see `mistray.sampling.design.kept_tables`.
     shared, kept : dict
         What was made of the geometry, and what of the whole table, by name: tables of the same geometry share the
         first, copies of the table the second.
@@ -194,7 +194,7 @@ class SurfaceTable:
         return other
 
     def without_scene(self) -> SurfaceTable:
-        """Return a copy without the scene, for what is kept with a table, see `mistray.surfaces.kept_tables`."""
+        """Return a copy without the scene, for what is kept with a table, see `mistray.sampling.design.kept_tables`."""
         other = copy(self)
         other.scene = None
         return other

@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.messages import Message
 from mistray.notes import Note
 from mistray.physics.geometry.sag import conic_end
 from mistray.surfaces.families.sag_surface import SagSurface
-from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surfaces import SurfaceTable
 
 ROUNDINGS = 4  # roundings of a position: a thicker gap passes its light

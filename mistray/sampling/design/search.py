@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.coatings import Bare
 from mistray.recorders.design_sequences import DesignSequences, Sequences
+from mistray.sampling.design.kept_tables import KeptTables
 from mistray.sampling.design.sequences import chosen_orders, combined, declared, has_optics
 from mistray.sampling.design_path import design_probes
 from mistray.sampling.importance_targets import signature
-from mistray.surfaces.kept_tables import KeptTables
 from mistray.surfaces.optics import DETECTOR, MIRROR
-from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surfaces import SurfaceTable
 
 _known: dict[str, dict[int, Sequences]] = {}

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.events import REFLECTED, kind_of, place_of
@@ -33,7 +34,6 @@ from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
-from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.history import spread
 from mistray.trace.host.both_ways import Arrivals, follow, started

@@ -1,4 +1,4 @@
-"""Results that are kept for later traces of the same scene, a bounded number of each kind."""
+"""Results that are kept in memory for later traces of the same scene, a bounded number of each kind."""
 
 from __future__ import annotations
 

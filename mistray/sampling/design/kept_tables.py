@@ -14,11 +14,11 @@ from typing import Any
 
 import mitsuba as mi
 
+from mistray.cache.remembered import remembered
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.scatter.particulate import DUST, Particulate
-from mistray.surfaces.remembered import remembered
 from mistray.surfaces.surfaces import SurfaceTable, interface_of, is_analytic, named_shapes
 
 ATTRIBUTE = "kept_tables"  # of the first shape of a scene, with which the tables go; the scene itself takes none
