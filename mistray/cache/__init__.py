@@ -1,4 +1,4 @@
-"""Cache of results on disk: its folder, keys and storage."""
+"""Caches of results, on disk and in memory: folder, keys and storage."""
 
 from mistray.cache.fingerprint import code_fingerprint, file_fingerprint, key_of
 from mistray.cache.folder import default_folder, limit_bytes, open_cache

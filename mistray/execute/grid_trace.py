@@ -11,14 +11,13 @@ import numpy as np
 
 from mistray.execute.scene_task import fingerprint, kernel_arrays
 from mistray.kernel.kernel_scene import KernelScene
-from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_sums import PathSums
-from mistray.sampling.design.search import design_sequences, traced_table
+from mistray.sampling.design.search import design_sequences, traced_tables
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.outer_medium import closed_media, outer_medium
 from mistray.sampling.outlines import detector_area
@@ -114,9 +113,9 @@ class GridTrace:
         # Surfaces at each wavelength, and the paths of the direct image
         wavelengths, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
         self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
-        self.table = traced_table(scene, self.wavelength_nm[0], light.detector, settings.stokes)
-        self._tables = [self.table, *(self.table.at(wavelength) for wavelength in self.wavelength_nm[1:])]
-        self.intersector = Intersector(self.table)
+        self._tables = traced_tables(scene, self.wavelength_nm, light.detector, settings.stokes)
+        self.table = self._tables[0]
+        self.intersector = Intersector.of(self.table)
         self.design = design_sequences(scene, *self._tables, free=True)
         self.design_keys = DesignKeys(self.design, self.table.detector)
         self._outside = outer_medium(self.table, scene)
@@ -130,7 +129,7 @@ class GridTrace:
         """Return one `Band` per wavelength, with scattered rays aimed at the given importance targets."""
         bands = []
         for table, share in zip(self._tables, self.weights, strict=True):
-            scattering = Scattering(ScatterTables(table, aims, backward=backward))
+            scattering = Scattering.of(table, aims, backward)
             closed = closed_media(table, self._outside)
             outside = 0 if closed is None else table.optics.media.index(self._outside)
             bands.append(Band(table, scattering, share, closed, outside))

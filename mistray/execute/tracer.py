@@ -18,7 +18,6 @@ from mistray.execute.sums import Sums
 from mistray.interrupts import requested
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import Spread
-from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
 from mistray.recorders.adjoint import CHANNELS, Adjoint
@@ -30,7 +29,7 @@ from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.recorders.tallies import STARTED, Tallies
-from mistray.sampling.design.search import design_sequences, traced_table
+from mistray.sampling.design.search import design_sequences, traced_tables
 from mistray.sampling.design_path import first_aperture, footprint, medium_around
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.source import SceneSource
@@ -547,8 +546,9 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
         )
     # Surfaces, and the importance targets of their scattered rays
     aims, shares = any(source.aims for source in sources), _ray_shares(sources)
-    first = traced_table(scene, sources[0].wavelength_nm, light.detector, settings.stokes)
-    intersector = Intersector(first)
+    wavelengths = list(dict.fromkeys(source.wavelength_nm for source in sources))
+    tables = dict(zip(wavelengths, traced_tables(scene, wavelengths, light.detector, settings.stokes), strict=True))
+    first = tables[wavelengths[0]]
     targets = importance_targets(first, scene, settings)
     # Aim the sources at the first aperture
     if settings.aim == "none":
@@ -557,12 +557,9 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
         # All wavelengths of a source light the same part of it
         lit = {source.name: footprint(first, source, aperture) for source in sources if source.aims}
         sources = [source.aimed_at(aperture, lit.get(source.name)) for source in sources]
-    # Tables of each wavelength
-    wavelengths = dict.fromkeys(source.wavelength_nm for source in sources)
-    tables = {nm: first if nm == first.wavelength_nm else first.at(nm) for nm in wavelengths}
     if aims or any(table.optics.absorbs for table in tables.values()):
         sources = [replace(one, medium=medium_around(tables[one.wavelength_nm], one)) for one in sources]
-    scattering = {nm: Scattering(ScatterTables(table, targets)) for nm, table in tables.items()}
+    scattering = {nm: Scattering.of(table, targets) for nm, table in tables.items()}
     design = design_sequences(scene, *tables.values())
     # Runs, with a stream of random numbers each
     runs, prepared = [], Preparation(scene, settings, light)
@@ -574,7 +571,7 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
                 source=source,
                 table=tables[source.wavelength_nm],
                 scattering=scattering[source.wavelength_nm],
-                intersector=intersector,
+                intersector=Intersector.of(first),
                 settings=settings.with_unit(unit),
                 rays=count,
                 seed=(settings.seed + 0x9E3779B9 * number) % 2**32,

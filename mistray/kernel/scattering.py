@@ -15,8 +15,9 @@ are as wide in optical direction cosines n sin θ as those of forward light, as 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import is_
 from typing import Any
 
 import drjit as dr
@@ -38,7 +39,9 @@ from mistray.kernel.scatter_tables import (
     RETRO,
     TABLE_SHIFT,
     TURNED,
+    ScatterTables,
 )
+from mistray.kernel.targets import AimSet, Place
 from mistray.scatter.lobe import factor
 from mistray.scatter.radial import R_MAX
 from mistray.surfaces.surfaces import SurfaceTable
@@ -95,6 +98,16 @@ class Scattering(ScatterShares):
     bulk : BulkScattering or None
         Scatter in media; None: no medium scatters.
     """
+
+    @classmethod
+    def of(cls, table: SurfaceTable, aims: Mapping[Place, AimSet], backward: bool = False) -> Scattering:
+        """Return the scatter of a table, see `ScatterTables`: that of before if its targets are the same objects."""
+        known: Scattering | None = table.kept.get(("scattering", backward))
+        before = {} if known is None else known.tables.aims
+        if known is None or [*aims] != [*before] or not all(map(is_, aims.values(), before.values())):
+            known = cls(ScatterTables(table.without_scene(), aims, backward))
+            table.kept["scattering", backward] = known
+        return known
 
     @property
     def arrays(self) -> list[Any]:

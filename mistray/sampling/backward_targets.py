@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.kernel.targets import AimSet, Place, Side, Target
 from mistray.sampling.design.probes import DesignStep
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
@@ -27,7 +28,6 @@ from mistray.sampling.importance_targets import (
     SEARCH_SHARE,
     automatic_bulk_targets,
     automatic_targets,
-    remembered,
     signature,
 )
 from mistray.settings import Settings

@@ -18,12 +18,12 @@ Random rays cover all other directions, so that targets change the variance of a
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Sequence
 
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.kernel.targets import AimSet, Inside, Place, Side, Target
 from mistray.sampling.bulk_aiming import Appearance, Sight, apparent, arrivals, body_targets, scattering_bodies
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
@@ -46,8 +46,6 @@ MOST_TARGETS = 4
 SEARCH_SHARE = 0.2  # share of a time budget after which the search for images ends
 
 _OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg", "values")
-MOST_KNOWN = 64  # scenes whose targets or design sequences are kept: a scene is traced at many fields
-Found = TypeVar("Found")
 _known: dict[str, dict[Place, list[Target]]] = {}
 _known_sets: dict[str, dict[Place, AimSet]] = {}  # of the same targets, by numbers of aimed rays
 
@@ -100,28 +98,24 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
 
     Targets that miss a change raise only the variance.
     """
+    of_table = remembered(table.kept, "signature", lambda: _table_facts(table))
+    films = [table.film(detector) for detector in table.detectors]
+    sources = [repr([getattr(emitter, key, "") for key in _OF_SOURCES]) for emitter in scene.emitters()]
+    return hashlib.sha256(repr((of_table, films, sources, tuple(surfaces))).encode()).hexdigest()
+
+
+def _table_facts(table: SurfaceTable) -> str:
+    """Return the facts of the surfaces for `signature`, in words."""
     facts = [
         *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
         *(getattr(shape, "coefficients", "") for shape in table.shapes),
-        *(repr([getattr(emitter, key, "") for key in _OF_SOURCES]) for emitter in scene.emitters()),
         table.vertices.tobytes(),
         table.rotations.tobytes(),
         table.optics.host_indices.tobytes(),
         table.optics.host_words.tobytes(),
         table.optics.host_scattering.tobytes(),
-        [table.film(detector) for detector in table.detectors],
-        tuple(surfaces),
     ]
     return hashlib.sha256(repr(facts).encode()).hexdigest()
-
-
-def remembered(known: dict[str, Found], key: str, search: Callable[[], Found]) -> Found:
-    """Return the cached result of a search under its `key`, or search now; the cache keeps `MOST_KNOWN` results."""
-    if key not in known:
-        while len(known) >= MOST_KNOWN:
-            known.pop(next(iter(known)))
-        known[key] = search()
-    return known[key]
 
 
 @share(SEARCH_SHARE)

@@ -10,8 +10,9 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.sampling.design_path import find_design_path
-from mistray.sampling.importance_targets import remembered, signature
+from mistray.sampling.importance_targets import signature
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 

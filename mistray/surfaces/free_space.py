@@ -19,16 +19,16 @@ import mitsuba as mi
 import numpy as np
 
 from mistray._mitsuba_compat import mesh_arrays
+from mistray.cache.remembered import remembered
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 SLICES = 64
-MOST_KNOWN = 64  # shapes whose extents are kept: a million triangles take half a second in each trace
 SLACK = 1e-4  # margin in units of the size of the shapes: far above the rounding of float32 near the origin
 
-_known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+_known: dict[bytes, tuple[np.ndarray, ...]] = {}
 
 
 class FreeSpace:
@@ -116,13 +116,14 @@ def stock_extents(
     for shape in shapes:
         points, faces = _triangles(shape)
         key = hashlib.sha256(points.tobytes() + faces.tobytes() + repr((centre, rotation, axis)).encode()).digest()
-        if key not in _known:
-            while len(_known) >= MOST_KNOWN:
-                _known.pop(next(iter(_known)))
+
+        def extents(points: np.ndarray = points, faces: np.ndarray = faces) -> tuple[np.ndarray, ...]:
             local = (points.astype(np.float64) - centre) @ rotation - (*axis, 0.0)
             z = local[:, 2][faces]
-            _known[key] = z.min(axis=1), z.max(axis=1), _distance(local[:, :2][faces])
-        found.append(_known[key])
+            return z.min(axis=1), z.max(axis=1), _distance(local[:, :2][faces])
+
+        # A million triangles take half a second
+        found.append(remembered(_known, key, extents))
     low, high, radius = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return low, high, radius
 

@@ -17,6 +17,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray.cache.remembered import remembered
 from mistray.surfaces.aspheres import AsphereSearch
 from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere, turned
 from mistray.surfaces.extrema import smaller
@@ -32,6 +33,11 @@ SLACK = 1e-5  # margin for rounding, in units of the sizes of a group of walls
 
 class Intersector:
     """Search for the nearest hit of rays with the analytic surfaces of a `SurfaceTable`, in the kernel."""
+
+    @classmethod
+    def of(cls, table: SurfaceTable) -> Intersector:
+        """Return the search of a table, which all tables of the same geometry share."""
+        return remembered(table.shared, "intersector", lambda: cls(table.without_scene()))
 
     def __init__(self, table: SurfaceTable) -> None:
         self.pieces = table.pieces

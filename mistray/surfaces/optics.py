@@ -420,7 +420,7 @@ class Optics:
             self.host_places[i] = self.rows, 1, self.rows, 1
             table = None
             if kind == IDEAL:
-                self.host_indices[i, 2:] = float(bsdf.R[0]), float(bsdf.T[0])
+                self.host_indices[i, 2:] = bsdf.coating.R, bsdf.coating.T
             elif kind == TABLED:
                 table = angle_table(bsdf.coating, wavelength_nm, *sides, opaque, stokes)
                 self.error = max(self.error, table.refraction_error, table.total_error)
@@ -597,4 +597,4 @@ class Optics:
         if table is not None:
             shares = table.refraction if not self.stokes else table.refraction[:, :, :2].mean(axis=2, keepdims=True)
             return bool(np.all(shares[:, :2, 0].min(axis=1) + shares[:, 2, 0] > 1 - NO_LOSS))
-        return not bsdf.ideal or float(bsdf.R[0]) + float(bsdf.T[0]) > 1 - NO_LOSS
+        return not bsdf.ideal or bsdf.coating.R + bsdf.coating.T > 1 - NO_LOSS

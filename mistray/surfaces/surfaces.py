@@ -14,15 +14,15 @@ them through its acceleration structure.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from copy import copy
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion
 from mistray.ranges import FILM_PIXELS, FILM_SIDE, several
@@ -97,8 +97,11 @@ class SurfaceTable:
 
     Attributes
     ----------
-    scene : mi.Scene
-        Scene that was given.
+    scene : mi.Scene or None
+        Scene that was given; None in tables that are kept with it, see `mistray.sampling.design.kept_tables`.
+    shared, kept : dict
+        What was made of the geometry, and what of the whole table, by name: tables of the same geometry share the
+        first, copies of the table the second.
     detectors : list of int
         Indices of the surfaces whose light is recorded, in the order of their ids.
     design_mirrors : frozenset of int
@@ -120,7 +123,9 @@ class SurfaceTable:
         stokes: bool = False,
     ) -> None:
         # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
-        self.scene = scene
+        self.scene: mi.Scene | None = scene
+        self.shared: dict[str, Any] = {}
+        self.kept: dict[Hashable, Any] = {}
         named = named_shapes(scene)
         shapes = sorted(named.items())
         analytic = [(name, shape) for name, shape in shapes if is_analytic(shape)]
@@ -133,7 +138,7 @@ class SurfaceTable:
         self.spaces = [int(getattr(shape, "space", -1)) for shape in self.shapes]
         self.count = len(self.shapes)
         self.wavelength_nm = wavelength_nm
-        self.interfaces = [_interface(shape) for shape in self.shapes]
+        self.interfaces = [interface_of(shape) for shape in self.shapes]
         self.detectors = self._find_detectors(detector)
         self.design_mirrors: frozenset[int] = frozenset()
         self._geometry(self.shapes[: len(analytic)])
@@ -146,14 +151,14 @@ class SurfaceTable:
         self.bodies = Bodies(self)
         self.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, stokes)
 
-    @cached_property
+    @property
     def host(self) -> HostSurfaces:
         """Analytic surfaces as float64 arrays for ray intersection on the host; built on first use."""
-        return HostSurfaces(self)
+        return remembered(self.shared, "host", lambda: HostSurfaces(self))
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
         """Return the surfaces of the scene at another wavelength, nm; the geometry is shared."""
-        return self._changed(wavelength_nm, self.detectors, self.design_mirrors)
+        return self._changed(wavelength_nm, self.detectors, self.optics.stokes, self.design_mirrors)
 
     def on(self, detector: int) -> SurfaceTable:
         """
@@ -163,7 +168,7 @@ class SurfaceTable:
         """
         if self.detectors == [detector]:
             return self
-        return self._changed(self.wavelength_nm, [detector], self.design_mirrors)
+        return self._changed(self.wavelength_nm, [detector], self.optics.stokes, self.design_mirrors)
 
     def with_mirrors(self, surfaces: frozenset[int]) -> SurfaceTable:
         """
@@ -171,17 +176,35 @@ class SurfaceTable:
 
         Without any surfaces the table itself is returned.
         """
-        return self._changed(self.wavelength_nm, self.detectors, surfaces) if surfaces else self
+        return self._changed(self.wavelength_nm, self.detectors, self.optics.stokes, surfaces) if surfaces else self
+
+    def varied(
+        self,
+        wavelength_nm: float,
+        detector: str | Sequence[str] | None,
+        stokes: bool,
+        mirrors: frozenset[int],
+    ) -> SurfaceTable:
+        """Return a table of the same surfaces, see `SurfaceTable` and `with_mirrors`; the geometry is shared."""
+        return self._changed(wavelength_nm, self._find_detectors(detector), stokes, mirrors)
 
     def __copy__(self) -> SurfaceTable:
         other = object.__new__(type(self))  # as it is: a pickle would make it anew
         vars(other).update(vars(self))
         return other
 
-    def _changed(self, wavelength_nm: float, detectors: list[int], mirrors: frozenset[int]) -> SurfaceTable:
+    def without_scene(self) -> SurfaceTable:
+        """Return a copy without the scene, for what is kept with a table, see `mistray.sampling.design.kept_tables`."""
         other = copy(self)
+        other.scene = None
+        return other
+
+    def _changed(
+        self, wavelength_nm: float, detectors: list[int], stokes: bool, mirrors: frozenset[int]
+    ) -> SurfaceTable:
+        other = copy(self)
+        other.kept = {}
         other.wavelength_nm, other.detectors, other.design_mirrors = wavelength_nm, detectors, mirrors
-        stokes = self.optics.stokes
         other.optics = Optics(self.ids, self.interfaces, other._flags(), self.bodies, wavelength_nm, stokes)
         return other
 
@@ -468,7 +491,8 @@ def require_one(detectors: Sequence[str]) -> None:
         )
 
 
-def _interface(shape: Any) -> Any:
+def interface_of(shape: Any) -> Any:
+    """Return the ``interface`` of a shape; raise `MistrayError` if it carries another BSDF."""
     bsdf = shape.bsdf()
     if not hasattr(bsdf, "coating"):
         raise MistrayError(f"shape '{shape.id()}' carries the BSDF {remedy(bsdf)}")

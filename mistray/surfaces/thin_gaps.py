@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.messages import Message
 from mistray.notes import Note
 from mistray.physics.geometry.sag import conic_end
@@ -26,7 +28,10 @@ def thin_gaps(table: SurfaceTable) -> list[Note]:
     table : SurfaceTable
         Surfaces of the scene; neighbours on one axis are compared, walls are left out.
     """
-    found = []
+    return [*remembered(table.shared, "thin_gaps", lambda: [*_thin_gaps(table)])]
+
+
+def _thin_gaps(table: SurfaceTable) -> Iterator[Note]:
     optics = sorted((p for p in table.pieces if isinstance(p, SagSurface) and not p.wall), key=lambda p: (p.axis, p.z))
     for a, b in pairwise(optics):
         low, high = max(a.inner, b.inner), min(a.size, b.size)
@@ -38,8 +43,7 @@ def thin_gaps(table: SurfaceTable) -> list[Note]:
         least = ROUNDINGS * float(np.spacing(np.float32(place)))
         if np.mean(gap < least) > SHARE:
             names = {"first": table.ids[a.index], "second": table.ids[b.index]}
-            found.append(Message.THIN_GAP.note(**names, gap=np.median(gap), least=least, place=place))
-    return found
+            yield Message.THIN_GAP.note(**names, gap=np.median(gap), least=least, place=place)
 
 
 def _height(piece: SagSurface, r2: np.ndarray) -> np.ndarray:

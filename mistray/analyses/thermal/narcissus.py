@@ -20,7 +20,7 @@ from mistray.kernel.scattering import Scattering
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.path_key import FIRST_KEY, extend_key
 from mistray.recorders.start_rays import StartRays
-from mistray.sampling.design.search import design_sequences, traced_table
+from mistray.sampling.design.search import design_sequences, traced_tables
 from mistray.sampling.design.sequences import has_optics
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.detector_start import DetectorStart
@@ -140,7 +140,7 @@ def returns(
         Derivative of the scene's irradiance with respect to its temperature, W/(mm² K), if all rays from the detector
         reach the scene.
     """
-    table = traced_table(scene, 1e3 * wavelength_um, detector)
+    (table,) = traced_tables(scene, [1e3 * wavelength_um], detector)
     path = find_design_path(table, scene)
     light = path.steps[-1].before if path is not None else np.array([0.0, 0.0, 1.0])
     lanes = max(2 * BATCHES, rays // BATCHES * BATCHES)

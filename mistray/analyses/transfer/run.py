@@ -27,7 +27,7 @@ from mistray.percent import percent_text
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.recorders.sampled import sum_of_runs
 from mistray.recorders.tallies import ABSORBED_HERE, CUTS, ESCAPED
-from mistray.sampling.design.search import design_sequences, traced_table
+from mistray.sampling.design.search import design_sequences, traced_tables
 from mistray.sampling.sources import field_of, scene_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.toolkit.analysis import analysis
@@ -105,8 +105,8 @@ def run(
         if given:
             raise MistrayError(f"quality and {given[0]} are given; the former has its own, leave out one of the two")
         found = quality
-    table = traced_table(scene, float(found.wavelengths_nm[0]), found.facts["detector"])
-    design = design_sequences(scene, *(table.at(float(nm)) for nm in found.wavelengths_nm))
+    table, *others = traced_tables(scene, [float(nm) for nm in found.wavelengths_nm], found.facts["detector"])
+    design = design_sequences(scene, table, *others)
     extent = table.film()[2]
     frequencies = _frequencies(found, extent, request.frequencies_per_mm)
     if pixels is not None:

@@ -211,6 +211,7 @@ class FullRims:
         Parameters of shapes and shifts of indices have an effect; all others leave the table as it is.
         """
         table = copy(self.table)
+        table.shared, table.kept = {}, {}
         table.pieces, table.vertices, table.rotations = (
             list(table.pieces),
             table.vertices.copy(),

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.coatings import Bare
 from mistray.recorders.design_sequences import DesignSequences, Sequences
+from mistray.sampling.design.kept_tables import KeptTables
 from mistray.sampling.design.sequences import chosen_orders, combined, declared, has_optics
 from mistray.sampling.design_path import design_probes
-from mistray.sampling.importance_targets import remembered, signature
+from mistray.sampling.importance_targets import signature
 from mistray.surfaces.optics import DETECTOR, MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -51,28 +53,33 @@ def design_sequences(scene: mi.Scene, *tables: SurfaceTable, free: bool = False)
     return DesignSequences({detector: tuple(sorted(found)) for detector, found in lists.items()})
 
 
-def traced_table(
-    scene: mi.Scene, wavelength_nm: float, detector: str | Sequence[str] | None = None, stokes: bool = False
-) -> SurfaceTable:
+def traced_tables(
+    scene: mi.Scene, wavelengths_nm: Sequence[float], detector: str | Sequence[str] | None = None, stokes: bool = False
+) -> list[SurfaceTable]:
     """
-    Return the surface table of a scene; opaque surfaces at which a design sequence reflects count as mirrors.
+    Return the surface tables of a scene as it is now, one for each wavelength, which share their geometry.
 
-    Only surfaces that reflect more than half of the light, and are no detectors, can become mirrors in this way.
+    Opaque surfaces at which a design sequence of the first wavelength reflects count as mirrors, if they reflect more
+    than half of the light and are no detectors.
 
     Parameters
     ----------
-    scene, wavelength_nm, detector, stokes
+    scene, detector, stokes
         See `SurfaceTable`.
+    wavelengths_nm : sequence of float
+        Vacuum wavelengths, nm.
     """
-    table = SurfaceTable(scene, wavelength_nm, detector, stokes)
+    kept = KeptTables(scene)
+    table, *others = (kept.table(wavelength, detector, stokes) for wavelength in wavelengths_nm)
     # The search is skipped where no surface could become a mirror by it
     bare = (table.optics.host_words & np.uint32(MIRROR | DETECTOR)) == 0
     undeclared = np.flatnonzero(table.optics.mostly_reflects & bare)
     if not len(undeclared):
-        return table
+        return [table, *others]
     design = design_sequences(scene, table)
     reflectors = frozenset().union(*(design.reflectors(one) for one in table.detectors))
-    return table.with_mirrors(reflectors.intersection(undeclared.tolist()))
+    mirrors = reflectors.intersection(undeclared.tolist())
+    return [kept.table(wavelength, detector, stokes, mirrors) for wavelength in wavelengths_nm]
 
 
 def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from mistray.cache.remembered import remembered
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.events import REFLECTED, kind_of, place_of
@@ -28,7 +29,7 @@ from mistray.execute.tracer import Run, prepare
 from mistray.light import AS_THE_SCENE, Light
 from mistray.messages import Message
 from mistray.notes import Note
-from mistray.sampling.importance_targets import remembered, signature
+from mistray.sampling.importance_targets import signature
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
@@ -137,7 +138,7 @@ def chosen_polarization(
     lights = [_with_few_wavelengths(beam) for beam in _spread(beams, MOST_RUNS)]
     runs = [(_at(light, len(beams) > 1), run) for light in lights for run in runs_of(settings, light)]
     tables = {id(run.table): run.table for _, run in runs}
-    if not any(_polarizes(table) for table in tables.values()):
+    if not any(remembered(table.kept, "polarizes", partial(_polarizes, table)) for table in tables.values()):
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
 
     # A single beam is tested at the angles of the series beside it, so that traces at many angles share their pilots
@@ -236,19 +237,26 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
 def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
     """Return a hash of everything `_pilot` depends on: surfaces, coatings, scatter, settings and start rays."""
     digest = hashlib.sha256()
-    for field, run in runs:
-        table = run.table
+    tables = {_of_table(run): (run.table, run.scattering) for _, run in runs}
+    digest.update(fingerprint(tables.values()).encode())
+    for table, _ in tables.values():
         digest.update(signature(table, scene, table.detectors).encode())
         digest.update(repr([hash(one.coating) for one in table.interfaces]).encode())
-        digest.update(repr((field, run.source.name, replace(run.settings, rays=1, seed=0))).encode())
+    if runs and runs[0][1].table.mitsuba_scene is not None:  # its numbers, such as vertices, are not in the signature
+        for numbers in read_numbers(scene).values():
+            digest.update(numbers.tobytes())
+    for field, run in runs:
+        facts = field, run.source.name, *_of_table(run), replace(run.settings, rays=1, seed=0)
+        digest.update(repr(facts).encode())
         start, unit = started(run, ROUNDS[0])
-        digest.update(fingerprint([(table, run.scattering)]).encode())
         for values in (start.o, start.d, start.mean, unit):
             digest.update(np.array(values).tobytes())
-        if table.mitsuba_scene is not None:  # numbers of its shapes, such as vertices, are not in the signature
-            for values in read_numbers(scene).values():
-                digest.update(values.tobytes())
     return digest.hexdigest()
+
+
+def _of_table(run: Run) -> tuple[float, tuple[int, ...]]:
+    """Return what tells the surface table of a run from others of the scene: its wavelength, nm, and detectors."""
+    return run.table.wavelength_nm, tuple(run.table.detectors)
 
 
 def _at(light: Light, several: bool = True) -> str:
