@@ -64,6 +64,8 @@ class FirstOrder:
     field_deg : dict
         Field angles, degrees, whose base ray meets the detector's edges: "x" and "y" (half width and half height)
         and "diagonal" (its corner); NaN if there is none below 89°. For a round detector all are the same.
+    near : bool
+        Whether the object is near; the pupil is then that of a point, in the plane of the origin of its frame.
     """
 
     wavelength_nm: float
@@ -76,6 +78,7 @@ class FirstOrder:
     stop: str
     f_number: float
     field_deg: dict[str, float]
+    near: bool = False
 
 
 def first_order(scene: Any, path: DesignPath) -> FirstOrder:
@@ -106,6 +109,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
         stop=stop,
         f_number=_working_f_number(scene, path, diameter / 2) if math.isfinite(focal) else math.inf,
         field_deg=_field(scene, path),
+        near=scene_sources(scene)[0].middle is None,
     )
 
 
