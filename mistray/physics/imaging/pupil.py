@@ -255,7 +255,8 @@ class Pupil:
         """
         Return the optical transfer function ∫ PSF exp(-2πi f·x) dx, 1 at zero frequency.
 
-        It is the autocorrelation of the pupil, with cubic interpolation; NaN if the pupil is not `resolved`.
+        It is the autocorrelation of the pupil, interpolated by cubic splines about the middle of the image; NaN if the
+        pupil is not `resolved`.
 
         Parameters
         ----------
