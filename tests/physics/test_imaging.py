@@ -91,6 +91,18 @@ def test_defocus_and_tilt():
     assert total == pytest.approx((pupil.share**2).sum() / pupil.share.sum(), rel=1e-9)
 
 
+@pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 34.0])
+def test_transfer_function_of_an_image_aside(azimuth_deg):
+    """An image at (x, y) has that of one at the origin times exp(-2πi f·r), also between the samples of the pupil."""
+    pupil, cosines = disc(64, w20=2.0), np.meshgrid(*2 * [disc(64).alpha])
+    x, y = np.array([0.3, -0.2]) / pupil.frequency_step
+    opd = np.where(pupil.lit, pupil.opd_waves + (x * cosines[0] + y * cosines[1]) * pupil.scale, 0.0)
+    share = np.linspace(0, 0.6, 90)
+    fx, fy = (share * CUT_OFF * part(np.radians(azimuth_deg)) for part in (np.cos, np.sin))
+    found = replace(pupil, opd_waves=opd).otf(fx, fy)
+    assert found == pytest.approx(pupil.otf(fx, fy) * np.exp(-2j * np.pi * (fx * x + fy * y)), abs=1e-9)
+
+
 def test_slow_beams_huygens_and_zernike_fit():
     """I(z) = (R/(R + z))² sinc²(N z/(2 (R + z))), N = a²/(λR): Y. Li, E. Wolf, Opt. Commun. 39, 211 (1981)."""
     fresnel, na = 4.0, 1e-3

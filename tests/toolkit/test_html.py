@@ -293,3 +293,12 @@ def test_parts_in_groups_and_folds_are_printed_and_exported() -> None:
     assert section_texts(sections) == ["Own\nfirst\nmore\na\n-\n1"]
     assert list(section_tables(sections)) == ["mine.csv"]
     assert section_record(sections)["sections"]["own"]["mine"] == [{"a": "1"}]
+
+
+def test_columns_of_equal_headings_are_all_in_the_file() -> None:
+    heads = columns("x", "y [W]", "rays", "y [W]", "rays")
+    found = Table(heads, [["a", Estimate(1.0, 0.1), 2, Estimate(3.0, 0.2), 4]], "mine")
+    table = section_tables([Section("own", "Own", [found])])["mine.csv"]
+    assert table.to_dict("records") == [
+        {"x": "a", "y_W": 1.0, "y_se_W": 0.1, "rays": 2, "y_2_W": 3.0, "y_2_se_W": 0.2, "rays_2": 4}
+    ]

@@ -8,6 +8,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.colors import LogNorm
 
+from mistray.analyses.image.line_image import Array
 from mistray.analyses.image.result import ENERGY, FieldImage, ImageQuality
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
@@ -30,6 +31,12 @@ def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
 def field_mtf_figure(image: FieldImage, title: str = "") -> Figure:
     """Draw the tangential and sagittal MTF of one field against frequency, 1/mm, with the diffraction limit."""
     return _mtf([image], _last_frequency(image), title)
+
+
+def pixel_edges(middles: Array) -> tuple[float, float]:
+    """Return where the first of evenly spaced pixels begins and the last ends, from their middles, (n,), n > 1."""
+    half = 0.5 * float(middles[1] - middles[0])
+    return float(middles[0]) - half, float(middles[-1]) + half
 
 
 def _shown(found: ImageQuality) -> tuple[list[FieldImage], str]:
@@ -68,8 +75,7 @@ def psf_figure(found: ImageQuality, title: str = "") -> Figure:
         psf = image.psf(PIXELS, 2 * _half(image) / PIXELS)
         peak = psf.values.max()
         values = psf.values / peak if peak > 0 else np.zeros_like(psf.values)  # NaN where nothing is resolved
-        half = 1e3 * psf.pixel_mm * PIXELS / 2
-        extent = (-half, half, -half, half)
+        extent = 2 * pixel_edges(1e3 * psf.x_mm)
         for axes, norm in zip(column, (None, LogNorm(LEAST, 1)), strict=True):
             shown = np.maximum(values, LEAST) if norm is not None else values
             axes.imshow(shown, origin="lower", extent=extent, cmap="inferno", norm=norm)
@@ -93,7 +99,7 @@ def opd_figure(found: ImageQuality, title: str = "") -> Figure:
     for axes, image in zip(panels[0], images, strict=True):
         pupil = image.main.pupil
         wave = np.where(pupil.lit, pupil.residual("tilt"), np.nan)
-        extent = (pupil.alpha[0], pupil.alpha[-1], pupil.beta[0], pupil.beta[-1])
+        extent = pixel_edges(pupil.alpha) + pixel_edges(pupil.beta)
         most = max(float(np.nanmax(np.abs(wave))), 1e-6)
         drawn = axes.imshow(wave, origin="lower", extent=extent, cmap="RdBu_r", vmin=-most, vmax=most)
         bar = made.colorbar(drawn, ax=axes, shrink=0.75)

@@ -345,7 +345,8 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         values = self.otf(f, azimuth)
         turns = np.exp(2j * np.pi * np.outer(x, f))
         line = df * (1 + 2 * (turns @ values).real)
-        edge = 0.5 + df * x + 2 * df * (turns @ (values / (2j * np.pi * f))).real
+        first = np.where(np.arange(1, len(f) + 1) % 2, -1, 1)  # exp(2πi f x) where the period of the image begins
+        edge = 0.5 + df * x + 2 * df * ((turns - first) @ (values / (2j * np.pi * f))).real
         return line, edge
 
 

@@ -19,6 +19,7 @@ from mistray.estimate import Estimate
 from mistray.messages import Message, fewer_rays
 from mistray.notes import Note
 from mistray.result import KeyNumber, Result
+from mistray.settings import RAY_CONTROLS
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
@@ -193,7 +194,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
         found = []
         for way in self.seen.ways_out():
             order = way.surfaces[::-1]
-            if not way.total and not (design and list(order) == design):
+            if not way.turned and not (design and list(order) == design):
                 missed = tuple(ids[s] for s in design if s not in order)
                 beside = tuple(ids[s] for s in order if s not in design)
                 found.append(
@@ -234,7 +235,8 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
             found.append(Message.OUTSIDE_SEEN.note(way=shot.way, share=shot.share, low=low, high=high))
         if len(shots) > SHOTS_TOLD:
             found.append(Message.MORE_OUTSIDE.note(count=len(shots) - SHOTS_TOLD))
-        if not self.seen.ways_out():
+        control = self.facts["ray_control"]
+        if not self.seen.ways_out() and "T" in RAY_CONTROLS.get(control, control):
             found.append(Message.CLOSED_IN.note())
         if rays < planned:
             found.append(fewer_rays(rays, planned))

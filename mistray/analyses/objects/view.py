@@ -11,7 +11,7 @@ import numpy as np
 from mistray.analyses.objects.places import Places
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
-from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.time_budget import is_limited, left
 from mistray.trace.host.ray_sources import RaySource
 from mistray.trace.host.single_rays import ChainTracer, Escape, Hits
@@ -83,8 +83,8 @@ class WayOut:
     ----------
     surfaces : tuple of int
         Indices of the surfaces in the order of the rays.
-    total : bool
-        Whether total reflection occurs on the way.
+    turned : bool
+        Whether light is reflected on the way, totally or by anything but a mirror.
     rays : int
         Number of these rays.
     share, share_se : float
@@ -94,7 +94,7 @@ class WayOut:
     """
 
     surfaces: tuple[int, ...]
-    total: bool
+    turned: bool
     rays: int
     share: float
     share_se: float
@@ -194,6 +194,7 @@ class RayView:
         table = tracer.table
         self.name = source.name
         self._opaque = (table.optics.host_words & OPAQUE) != 0
+        self._mirrors = places.mirrors | ((table.optics.host_words & MIRROR) != 0)
         self._places, self._backward, self._axis = places, backward, axis
         objects = SIDES * table.count
         self.rays = np.zeros(BATCHES, dtype=np.int64)
@@ -225,18 +226,18 @@ class RayView:
         self.rays += np.bincount(batch, minlength=BATCHES)
         self.started += float(start.weight.sum())
         gap = self._places.start_gap(self._backward, n)
-        trail, total = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
+        trail, turned = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
         open_objects = {k for k, kept in enumerate(self._kept) if kept.count < KEPT_HITS}
         fresh: dict[int, list[dict[str, np.ndarray]]] = {}
         for step in tracer.follow(start, rng):
             if isinstance(step, Escape):
                 if self._backward:
-                    self._leave(step, trail, total, batch)
+                    self._leave(step, trail, turned, batch)
                 continue
             here, gap[step.lane] = self._places.advance(step, gap[step.lane], self._backward)
             if self._backward:
                 trail[step.lane] = self._trails.longer(trail[step.lane], step.surface)
-                total[step.lane] |= step.total
+                turned[step.lane] |= step.total | (step.reflects & ~self._mirrors[step.surface])
             self._record(step, here, batch[step.lane], open_objects, fresh)
         for k in open_objects:
             kept = self._kept[k]
@@ -275,21 +276,21 @@ class RayView:
                 found = {name: getattr(hits, name)[part] for name in NO_HITS if name != "batch"}
                 fresh.setdefault(k, []).append(found | {"batch": batch[part]})
 
-    def _leave(self, out: Escape, trail: np.ndarray, total: np.ndarray, batch: np.ndarray) -> None:
+    def _leave(self, out: Escape, trail: np.ndarray, turned: np.ndarray, batch: np.ndarray) -> None:
         """
         Record rays that leave the scene, grouped by the sequence of surfaces that they have met.
 
-        `trail` (see `Trails`), `total` (total reflection on the way) and `batch` have an entry for each start ray.
+        `trail` (see `Trails`), `turned` (see `WayOut`) and `batch` have an entry for each start ray.
         """
         cosine = np.clip(-(out.direction @ self._axis), -1, 1)
         angle = np.degrees(np.arccos(cosine))
-        ways = 2 * trail[out.lane] + total[out.lane]
+        ways = 2 * trail[out.lane] + turned[out.lane]
         order = np.argsort(ways, kind="stable")
         for here in np.split(order, np.flatnonzero(np.diff(ways[order])) + 1):
             lanes = out.lane[here]
-            number, turned = divmod(int(ways[here[0]]), 2)
+            number, reflected = divmod(int(ways[here[0]]), 2)
             way = self._ways.setdefault(
-                (self._trails.surfaces(number), bool(turned)),
+                (self._trails.surfaces(number), bool(reflected)),
                 {"flux": np.zeros(BATCHES), "rays": np.zeros(1), "angles": np.array([180.0, 0.0])},
             )
             way["flux"] += np.bincount(batch[lanes], out.weight[here], minlength=BATCHES)
@@ -319,10 +320,10 @@ class RayView:
     def ways_out(self) -> list[WayOut]:
         """Return the exits of rays by the surfaces met before, the strongest first; empty unless rays run backward."""
         found = []
-        for (surfaces, total), way in self._ways.items():
+        for (surfaces, turned), way in self._ways.items():
             share, se = self._share(way["flux"])
             low, high = (float(angle) for angle in way["angles"])
-            found.append(WayOut(surfaces, total, int(way["rays"][0]), share, se, (low, high)))
+            found.append(WayOut(surfaces, turned, int(way["rays"][0]), share, se, (low, high)))
         return sorted(found, key=lambda way: -way.share)
 
     def _share(self, by_batch: np.ndarray) -> tuple[float, float]:

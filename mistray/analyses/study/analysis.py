@@ -194,7 +194,8 @@ def _instead(path: Sequence[str], design: Sequence[str]) -> str:
     missed = ", ".join(name for name in design if name not in path)
     if beside and missed:
         return f"{beside} instead of {missed}"
-    return beside or (f"past {missed}" if missed else "the design path")
+    same = "the design path" if list(path) == list(design) else "the optics in another order"
+    return beside or (f"past {missed}" if missed else same)
 
 
 def break_frame(bends: Sequence[Break]) -> pd.DataFrame:
@@ -286,7 +287,8 @@ def _level_findings(pst: Pst, first: FirstOrder | None, transmittance: float) ->
     on_axis = float(direct[0])
     area = float(pst.facts.get("detector_area_mm2", math.nan))
     expected = transmittance * first.pupil_area_mm2 / area if first is not None else math.nan
-    if first is not None and math.isfinite(expected) and expected > 0:
+    # A PST is of plane waves, of which a system for a near object makes no image
+    if first is not None and not first.near and math.isfinite(expected) and expected > 0:
         off, error = on_axis / expected - 1, float(direct_se[0]) / on_axis
         agrees = abs(off) < AGREES + SURE * error
         found.append(

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
+from mistray.analyses.image.figures import pixel_edges
 from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, Transfer, TransferCurve
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
@@ -112,7 +113,7 @@ def image_figure(found: FieldTransfer, title: str = "") -> Figure:
         whole, _ = found.psf(CORE, 2 * half / CORE)
         peak = peak or float(whole.values.max())
         values = np.maximum(whole.values / peak, 10.0**-IMAGE_DECADES)
-        extent = tuple(1e3 * half * sign for sign in (-1, 1, -1, 1))
+        extent = 2 * pixel_edges(1e3 * whole.x_mm)
         shown = axes.imshow(values, origin="lower", extent=extent, cmap="inferno", interpolation="nearest", **how)
         axes.set_title(name, fontsize=9)
         axes.set_xlabel("sagittal [µm]")

@@ -241,6 +241,11 @@ class Pupil:
         lattice[n, n] = 1.0  # cells that are partly lit have less of the flux than of the amplitude
         return np.asarray(lattice)
 
+    @cached_property
+    def _middle(self) -> Array:
+        """Point to which the mean tilt of the wavefront sends light, (2,), mm from the image point."""
+        return self.removed("tilt")[1:3] / self.scale
+
     @property
     def frequency_step(self) -> float:
         """Step of the transfer function's frequencies, 1/mm; its inverse is the period of the PSF, mm."""
@@ -250,7 +255,8 @@ class Pupil:
         """
         Return the optical transfer function ∫ PSF exp(-2πi f·x) dx, 1 at zero frequency.
 
-        It is the autocorrelation of the pupil, with cubic interpolation; NaN if the pupil is not `resolved`.
+        It is the autocorrelation of the pupil, interpolated by cubic splines about the middle of the image; NaN if the
+        pupil is not `resolved`.
 
         Parameters
         ----------
@@ -263,19 +269,24 @@ class Pupil:
         fx, fy = np.broadcast_arrays(np.asarray(fx, dtype=np.float64), np.asarray(fy, dtype=np.float64))
         if not self.resolved:
             return np.full(fx.shape, np.nan + 0j)
-        n, lattice = len(self.alpha), self._lattice
+        n, lattice, (x, y) = len(self.alpha), self._lattice, self._middle
+        # About its middle the image is narrowest, so that the function turns least from one frequency to the next
+        places = np.arange(n + 1) * self.frequency_step
+        back = np.exp(-2j * np.pi * (fx * x + fy * y))
         # The function has a cusp at zero: along the axes there are values on either side of it
-        for along, across, line in ((fx, fy, lattice[n, n:]), (fy, fx, lattice[n:, n])):
+        for along, across, line, middle in ((fx, fy, lattice[n, n:], x), (fy, fx, lattice[n:, n], y)):
             if not np.any(across):
-                places = np.arange(n + 1) * self.frequency_step
-                found = CubicSpline(places, line)(np.clip(np.abs(along), 0, places[-1]))
+                centred = CubicSpline(places, line * np.exp(2j * np.pi * places * middle))
+                found = centred(np.clip(np.abs(along), 0, places[-1]))
                 found = np.where(np.abs(along) > places[-1], 0, found)
-                return np.asarray(np.where(along < 0, found.conj(), found))
+                return np.asarray(back * np.where(along < 0, found.conj(), found))
+        every = np.concatenate([-places[:0:-1], places])
+        lattice = lattice * np.exp(2j * np.pi * (every * x + every[:, None] * y))
         at = np.stack([fy / self.frequency_step + n, fx / self.frequency_step + n])
         real, imaginary = (
             map_coordinates(part, at, order=SPLINE_ORDER, mode="constant") for part in (lattice.real, lattice.imag)
         )
-        return np.asarray(real + 1j * imaginary)
+        return np.asarray(back * (real + 1j * imaginary))
 
     def cut_off(self, direction: tuple[float, float]) -> float:
         """

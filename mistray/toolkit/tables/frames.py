@@ -14,6 +14,7 @@ import pandas as pd
 
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.files.units import UNITS, unit_of
+from mistray.ids import free_name
 from mistray.toolkit.pages.model import Column, StyledCell, Table, Value, columns
 from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.tables.text import ABSENT, cell_text, number, with_error
@@ -155,8 +156,8 @@ def table_frame(table: Table) -> pd.DataFrame:
     """
     Return a table as a DataFrame with a column for each heading, named after it and its unit: "power_W".
 
-    A column with an `Estimate` becomes two, value and standard error; its other cells are NaN. In other columns with a
-    unit, text is read as a number, or is NaN if it is none.
+    The second of equal headings has a 2 after its name. A column with an `Estimate` becomes two, value and standard
+    error; its other cells are NaN. In other columns with a unit, text is read as a number, or is NaN if it is none.
     """
     ends = {unit: end for end, unit in UNITS}
     found: dict[str, list[Any]] = {}
@@ -164,6 +165,7 @@ def table_frame(table: Table) -> pd.DataFrame:
         name = re.sub(r"\W+", "_", column.head).strip("_")
         unit = ends.get(column.unit, re.sub(r"\W+", "_", column.unit))
         end = f"_{unit}" if unit else ""
+        name = free_name(name, end, found).removesuffix(end)
         values = [row[k] for row in table.rows]
         if any(isinstance(value, Estimate) for value in values):
             pairs = [value if isinstance(value, Estimate) else UNKNOWN for value in values]

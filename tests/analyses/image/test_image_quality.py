@@ -87,6 +87,12 @@ def test_coma_and_scale():
     # Astigmatism: the sagittal image lies in the focal plane, the tangential one θ² f in front of it
     assert image.sagittal_focus_mm == pytest.approx(0.0, abs=1e-6)
     assert image.tangential_focus_mm == pytest.approx(-FOCAL * np.radians(theta) ** 2, rel=0.01)
+    # The edge goes from 0 to 1, also where the centroid lies beside the image point
+    assert np.linalg.norm(image.centroid_mm) > 1e-3
+    end = image.largest_radius_mm
+    _, (low, high) = image.line_spread([-end, end])
+    assert 0 < low < 0.006
+    assert 0.994 < high < 1
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e6])
@@ -117,6 +123,10 @@ def test_pictures_of_some_fields_hold_the_last_one_and_say_so(monkeypatch):
     found = mistray.image_quality(mistray.load(paraboloid()), [0.0, 0.1, 0.2], grid=32)
     draws = (figures.mtf_figure, figures.psf_figure, figures.opd_figure, figures.spot_figure, figures.energy_figure)
     assert not any("fields" in draw(found).get_suptitle() for draw in draws)
+    left, right, *_ = figures.psf_figure(found).axes[0].images[0].get_extent()
+    assert left + right == pytest.approx(-(right - left) / figures.PIXELS)  # the pixel after the middle is about 0
+    wave, pupil = figures.opd_figure(found).axes[0].images[0], found[0].main.pupil
+    assert np.diff(wave.get_extent()[:2]) == pytest.approx(32 * pupil.step)
     monkeypatch.setattr(figures, "SHOWN", 2)
     for draw in draws:
         made = draw(found, "mirror")

@@ -223,6 +223,9 @@ def test_ray_controls(load_scene):
     for control in ("halt_all", "reflect_specular", "transmit_specular", "allow_all"):
         found = objects(scene, rays=RAYS, ray_control=control, source=disc, view_half_angle_deg=10.0)
         hits[control] = {entry.id: entry for entry in found.optics}
+        # Light that the faces reflect to and fro is no straight shot, and what nothing transmits is not closed in
+        assert not found.straight_shots
+        assert not [text for text in found.notes if "closed in" in text]
     front, rear = hits["halt_all"]["p0_front"], hits["halt_all"]["p0_rear"]
     assert (front.illuminated_rays, front.critical_rays) == (RAYS, 0)
     assert (rear.illuminated_rays, rear.critical_rays) == (0, RAYS)

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import fails, succeeds
-from lit_detector import BLACK, lit, square
+from lit_detector import BLACK, lit, meter, square
 from oracles.closed_forms import ParaxialSurface, back_focus
 from oracles.rough_paraboloid import paraboloid_text
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
@@ -24,7 +24,7 @@ from refusals import refused
 import mistray
 from mistray import Study, study
 from mistray.analyses.export.critical_rays import critical_rays
-from mistray.analyses.study.analysis import stray_light_analysis
+from mistray.analyses.study.analysis import _instead, stray_light_analysis
 from mistray.analyses.study.first_order import FirstOrder, first_order
 from mistray.analyses.study.image import transfer_findings
 from mistray.analyses.study.models import mechanical_model, optical_model, role
@@ -182,10 +182,19 @@ def test_direct_light_on_axis_is_the_transmittance_times_the_areas() -> None:
     first = optical_model(scene, table, path).result
     step = stray_light_analysis(report, curve, first, transmittance)
     (told,) = re.findall(r"T A/A_det = ([0-9.]+) ", " ".join(step.findings))
+    near = stray_light_analysis(report, curve, replace(first, near=True), transmittance)
+    assert "T A/A_det" not in " ".join(near.findings)  # a plane wave has no image behind optics for a near object
     exact = transmittance * math.pi * 6.25**2 / 38.0**2
     assert float(told) == pytest.approx(exact, rel=2e-3)
     direct, error = (float(values[0]) for values in curve.curve("direct"))
     assert abs(direct - exact) < 4 * error + 2e-3 * exact
+
+
+def test_a_path_is_told_by_its_difference_from_the_design() -> None:
+    design = ["primary", "secondary", "detector"]
+    assert _instead(design, design) == "the design path"
+    assert _instead(["primary", "secondary", *design], design) == "the optics in another order"
+    assert _instead(["hole", "detector"], design) == "hole instead of primary, secondary"
 
 
 def test_every_traced_target_stands_beside_the_paraxial_image(camera):
@@ -375,6 +384,7 @@ def test_image_in_glass_and_near_object(load_scene):
     given = {"type": "scene", "stop": stop, "detector": square(20.0, half_height=15.0, z=30.0)}
     scene = mistray.load(given, "point:0,0,-100")
     found = first_order(scene, find_design_path(SurfaceTable(scene, 550.0), scene))
+    assert found.near
     assert found.pupil_diameter_mm == pytest.approx(2 * 5 * 100 / 110, rel=1e-3)
     assert found.stop == "stop"
     assert found.field_deg["x"] == pytest.approx(np.degrees(np.arctan(20 / 30)), rel=1e-6)
@@ -382,6 +392,19 @@ def test_image_in_glass_and_near_object(load_scene):
     laser = mistray.load(given, "laser:0,0,-100,waist_x=1,waist_y=1")
     with refused(r"'source'.*point_source"):
         first_order(laser, find_design_path(SurfaceTable(laser, 550.0), laser))
+
+
+@pytest.mark.parametrize(("half_width", "half_height"), [(5.0, 5.0), (10.0, 1.0)])
+def test_a_pupil_with_corners(half_width: float, half_height: float):
+    """A rectangular paraboloid, whose round detector is in the beam."""
+    mirror = {"type": "asphere", "half_width": half_width, "half_height": half_height, "radius": -600.0, "conic": -1.0}
+    mirror["bsdf"] = {"type": "interface", "R": 1.0, "mirror": True}
+    detector = {"type": "asphere", "semi_diameter": 0.5, "z": -300.0, "bsdf": BLACK, "sensor": meter(4)}
+    scene = mistray.load({"type": "scene", "mirror": mirror, "detector": detector}, "beam:radius=20")
+    found = first_order(scene, find_design_path(SurfaceTable(scene, 550.0), scene))
+    whole = 4 * half_width * half_height
+    assert found.pupil_area_mm2 == pytest.approx(whole - math.pi * 0.25, rel=0.004)
+    assert found.pupil_diameter_mm == pytest.approx(2 * math.sqrt(whole / math.pi), rel=0.002)
 
 
 def test_newtonian_and_phone_camera():
@@ -399,7 +422,7 @@ def test_newtonian_and_phone_camera():
     half = 0.6 * 25.4
     diagonal = 2 * half * (2 * half + 3 / math.sqrt(2))
     tube = 25.4 * (95.25 - 3 * 25.4)
-    assert found.pupil_area_mm2 == pytest.approx(math.pi * 95.25**2 - diagonal - tube, rel=0.01)
+    assert found.pupil_area_mm2 == pytest.approx(math.pi * 95.25**2 - diagonal - tube, rel=0.002)
     # Focal length and chief ray of the float64 trace that scenes/phone_camera/SOURCE.md quotes; the stop's radius
     found, _ = measured("phone_camera")
     assert found.focal_length_mm == pytest.approx(7.0734, abs=1e-4)
