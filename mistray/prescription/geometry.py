@@ -265,9 +265,9 @@ def detector_frame(
     Parameters
     ----------
     detector : Detector
-        Plane, coaxial detector with half_width and half_height.
+        Plane detector with half_width and half_height.
     outer_radius : float or None
-        Radius to cover, mm; ``None``: up to the corners of the detector.
+        Radius about its middle to cover, mm; ``None``: up to the corners of the detector.
     coating, space
         Coating and space of the rectangles, as in `Surface`.
     name : str
@@ -306,12 +306,12 @@ def detector_frame(
         "bottom": (0.0, -(h + cap), w, cap),
         "top": (0.0, h + cap, w, cap),
     }
+    frame = detector.to_world()
     return tuple(
         Surface(
             f"{name}_{key}",
-            x=x,
-            y=y,
-            z=detector.z,
+            **dict(zip("xyz", (frame @ (x, y, 0.0, 1.0))[:3].tolist(), strict=True)),
+            tilt_deg=detector.tilt_deg,
             half_width=half_width,
             half_height=half_height,
             front=detector.front,
@@ -357,8 +357,8 @@ def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
 
     Raise `MistrayError` if neither clears the surfaces.
     """
-    start = a.rim if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
-    end = b.rim if isinstance(b, Surface) else (b.outer_front, b.z_front)
+    start = (a.outer_radius, a.rim_heights[1]) if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
+    end = (b.outer_radius, b.rim_heights[0]) if isinstance(b, Surface) else (b.outer_front, b.z_front)
     corner = (start[0], end[1]) if start[0] > end[0] else (end[0], start[1])
     failure: MistrayError | None = None
     for points in ([start, end], [start, corner, end]):
