@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from mistray.prescription import Decentre, Detector, Outline, OutlineFigure, Row, Sequential, rectangle
+from mistray.prescription import (
+    Decentre,
+    Detector,
+    Outline,
+    OutlineFigure,
+    Row,
+    Sequential,
+    Structure,
+    circle,
+    rectangle,
+)
 from mistray.prescription.closing.system import build
 from mistray.prescription.geometry import detector_frame
 from mistray.prescription.sequential.first_order import field_tangents, first_order
@@ -113,3 +123,19 @@ def test_image_heights_of_a_lens_in_water():
     lens = lens.with_rows((rows[0], Row(2, radius=-20, thickness=data.bfl), IMAGE))
     hits, _ = trace(lens, [[0.0, 0.0, 0.0]], [[0.0, slope, 1.0]])
     assert hits[-1, 0, 1] == pytest.approx(0.01, rel=1e-4)
+
+
+@pytest.mark.parametrize("opening", [circle(2.0, x=6.0, y=-3.0), rectangle(2.0, 1.0, x=6.0, y=-3.0)])
+def test_a_plate_around_an_opening_beside_the_axis_covers_the_lens(opening):
+    rows = Row(1, thickness=5, aperture=opening), Row(2, radius=50, thickness=6, semi_diameter=9, stop=True, **GLASS)
+    built = build(Sequential("aside", (*rows, Row(3, radius=-50, thickness=46, semi_diameter=9), IMAGE), aperture=4))
+    angle = np.linspace(0, 2 * np.pi, 73)
+    plate = [piece for piece in built.prescription.structures if piece.part.startswith("S1_")]
+    x, y = 9 * np.cos(angle), 9 * np.sin(angle)
+    covered = np.zeros(len(x), dtype=bool)
+    for piece in plate:
+        if isinstance(piece, Structure):
+            covered |= np.hypot(x - piece.x, y - piece.y) <= max(piece.r0, piece.r1)
+        else:
+            covered |= (np.abs(x - piece.x) <= piece.half_width) & (np.abs(y - piece.y) <= piece.half_height)
+    assert covered.all()

@@ -10,16 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.geometry.outline import Outline, circle, rectangle
 from mistray.physics.geometry.pose import fixed_angles_deg
-from mistray.physics.geometry.sag import conic_end
 from mistray.prescription.coating import BLACK, Coating
-from mistray.prescription.geometry import barrel, detector_frame, gas_of, is_gas, lens_edge, wall
+from mistray.prescription.geometry import barrel, detector_frame, gas_of, is_gas, lens_edge, wall, whole_face
 from mistray.prescription.model import Detector, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
 
@@ -115,7 +113,7 @@ class Closing:
         for (one, forward), (other, _) in pairwise(solids):
             assert isinstance(one, Surface)
             assert isinstance(other, Surface)
-            (a, _), (b, _) = map(_whole, (one, other))
+            (a, _), (b, _) = map(whole_face, (one, other))
             if self._walled(a, b, forward):
                 self._wall(a, b, forward)
 
@@ -158,7 +156,7 @@ class Closing:
         note instead.
         """
         part = run[0].part or run[0].name
-        whole = [_whole(surface) for surface in run]
+        whole = [whole_face(surface) for surface in run]
         if not all(_rimmed(surface) for surface, _ in whole):
             self.notes.append(f"part '{part}': it has no edges, for a circle about its axis would not go round it")
             return
@@ -296,33 +294,6 @@ def mirror_back(
         )  # fmt: skip
         result.append(placed(wall, frame))
     return tuple(result)
-
-
-def _whole(surface: Surface) -> tuple[Surface, Surface | None]:
-    """
-    Return the round face of which a surface is the clear part, and the opaque rest of this face, None if there is none.
-
-    The face ends in the circle around an outline about the axis. Round surfaces and detectors are returned as they are,
-    and so are those that have no such face.
-    """
-    if surface.semi_diameter is not None or isinstance(surface, Detector):
-        return surface, None
-    half = surface.half_width, surface.half_height
-    clear = rectangle(*half) if surface.outline is None else surface.outline  # type: ignore[arg-type]
-    first, *more = clear.figures
-    radius = max(figure.reach for figure in clear.figures if figure.sign == "+")
-    if more and more[0].sign == "&" and first == circle(first.sizes[0]).figures[0]:  # cut at this circle
-        clear = Outline((replace(more[0], sign="+"), *(figure for figure in more[1:] if figure.sign != "&")))
-        radius = first.sizes[0]
-    x0, x1, y0, y1 = clear.bounds()
-    rest = clear.around(radius) if max(abs(x0 + x1), abs(y0 + y1)) <= _ROUND_OFF_MM * (1 + radius) else None
-    if rest is None or radius >= conic_end(surface.curvature, surface.conic):
-        return surface, None
-    shape: dict[str, Any] = {"half_width": None, "half_height": None}
-    own = f"{surface.name}_aperture"
-    return replace(surface, **shape, outline=None, semi_diameter=radius), None if rest.empty else replace(
-        surface, **shape, name=own, outline=rest, coating=BLACK, mirror=False
-    )
 
 
 def _rimmed(surface: Surface) -> bool:
