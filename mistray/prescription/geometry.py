@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -32,6 +31,7 @@ ABSORBER = Coating(R=0.0)
 _SAMPLES = 257
 GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
 _TOLERANCE_MM = 1e-9
+_AROUND = 1.001  # radius of a face around its outline by that of the outline, so that corners lie within
 
 
 def wall(
@@ -341,21 +341,22 @@ def whole_face(surface: Surface) -> tuple[Surface, Surface | None]:
     if surface.semi_diameter is not None or isinstance(surface, Detector):
         return surface, None
     clear = surface.outline or rectangle(surface.half_width or 0.0, surface.half_height or 0.0)
-    radius = max((figure.reach for figure in clear.figures if figure.sign == "+"), default=surface.outer_radius)
+    reach = max((figure.reach for figure in clear.figures if figure.sign == "+"), default=surface.outer_radius)
     first, *more = clear.figures
+    end = conic_end(surface.curvature, surface.conic)
+    radius = min(_AROUND * reach, 0.5 * (reach + end))
     if more and more[0].sign == "&" and first == circle(first.sizes[0]).figures[0]:  # cut at this circle
         clear = Outline((replace(more[0], sign="+"), *(figure for figure in more[1:] if figure.sign != "&")))
-        radius = first.sizes[0]
+        radius = reach = first.sizes[0]
     x0, x1, y0, y1 = clear.bounds()
-    rest = clear.around(radius) if max(abs(x0 + x1), abs(y0 + y1)) <= _TOLERANCE_MM * (1 + radius) else None
-    if rest is None or radius >= conic_end(surface.curvature, surface.conic):
+    rest = clear.around(reach) if max(abs(x0 + x1), abs(y0 + y1)) <= _TOLERANCE_MM * (1 + reach) else None
+    if rest is None or reach >= end:
         return surface, None
-    shape: dict[str, Any] = {"half_width": None, "half_height": None}
-    face = replace(surface, **shape, outline=None, semi_diameter=radius)
     if rest.empty:
-        return face, None
-    name = f"{surface.name}_aperture"
-    return face, replace(surface, **shape, name=name, outline=rest, coating=ABSORBER, scatter=(), mirror=False)
+        return replace(surface, half_width=None, half_height=None, outline=None, semi_diameter=reach), None
+    face = replace(surface, half_width=None, half_height=None, outline=None, semi_diameter=radius)
+    name, own = f"{surface.name}_aperture", clear.around(radius)
+    return face, replace(face, name=name, semi_diameter=None, outline=own, coating=ABSORBER, scatter=(), mirror=False)
 
 
 def is_gas(material: str) -> bool:
