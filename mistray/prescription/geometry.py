@@ -8,12 +8,15 @@ clipping at the rims, and the clipped light is recorded on a named surface. All 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.named_values import number_of
+from mistray.physics.geometry.outline import Outline, circle, rectangle
+from mistray.physics.geometry.sag import conic_end
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Detector, Stop, Structure, Surface
 from mistray.ranges import PLACE_MM, RADIUS_MM, Each, OfType, Several, several, shown
@@ -28,6 +31,7 @@ ABSORBER = Coating(R=0.0)
 _SAMPLES = 257
 GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
 _TOLERANCE_MM = 1e-9
+_AROUND = 1.001  # radius of a face around its outline by that of the outline, so that corners lie within
 
 
 def wall(
@@ -194,10 +198,11 @@ def barrel(
     edge_coating: Coating = ABSORBER,
     name: str = "barrel",
     first_space: int = 1,
-) -> tuple[Structure, ...]:
+) -> tuple[Structure | Surface, ...]:
     """
     Return the faces that close a coaxial group: lens edges in glass, opaque barrel walls in gas, from rim to rim.
 
+    Around a rectangle or another outline about the axis, the face of a lens goes on, black, to the circle around it.
     Around them is the gas in front of the group; if that is a glass, the first gas in the group.
 
     Parameters
@@ -217,8 +222,8 @@ def barrel(
 
     Returns
     -------
-    tuple of Structure
-        Edges and walls, from the first rim to the last.
+    tuple of Structure or Surface
+        Edges and walls, from the first rim to the last, and the black rests of faces, ``<surface>_aperture``.
 
     Raises
     ------
@@ -234,9 +239,11 @@ def barrel(
     >>> [face.name for face in mistray.prescription.barrel([front, rear, detector])]
     ['L1_edge', 'barrel_1_wall']
     """
-    result: list[Structure] = []
+    result: list[Structure | Surface] = []
     space = first_space
-    pairs = [(a, b, _shared_material(a, b)) for a, b in pairwise(ITEMS.check("items", items, f"barrel '{name}'"))]
+    given = ITEMS.check("items", items, f"barrel '{name}'")
+    whole = [whole_face(item) if isinstance(item, Surface) and not item.mirror else (item, None) for item in given]
+    pairs = [(a, b, _shared_material(a, b)) for (a, _), (b, _) in pairwise(whole)]
     ahead = [a.front if isinstance(a, Surface) else "air" for a, _, _ in pairs[:1]]
     outside = gas_of(*ahead, *(material for _, _, material in pairs))
     for a, b, material in pairs:
@@ -246,7 +253,7 @@ def barrel(
             own, points = f"{name}_{space}_wall", _profile(a, b)
             result += wall(own, points, coating=coating, part=name, space=space, front=material, back=outside)
             space += 1
-    return tuple(result)
+    return (*result, *(rest for _, rest in whole if rest is not None))
 
 
 def detector_frame(
@@ -265,9 +272,9 @@ def detector_frame(
     Parameters
     ----------
     detector : Detector
-        Plane, coaxial detector with half_width and half_height.
+        Plane detector with half_width and half_height.
     outer_radius : float or None
-        Radius to cover, mm; ``None``: up to the corners of the detector.
+        Radius about its middle to cover, mm; ``None``: up to the corners of the detector.
     coating, space
         Coating and space of the rectangles, as in `Surface`.
     name : str
@@ -306,12 +313,12 @@ def detector_frame(
         "bottom": (0.0, -(h + cap), w, cap),
         "top": (0.0, h + cap, w, cap),
     }
+    frame = detector.to_world()
     return tuple(
         Surface(
             f"{name}_{key}",
-            x=x,
-            y=y,
-            z=detector.z,
+            **dict(zip("xyz", (frame @ (x, y, 0.0, 1.0))[:3].tolist(), strict=True)),
+            tilt_deg=detector.tilt_deg,
             half_width=half_width,
             half_height=half_height,
             front=detector.front,
@@ -322,6 +329,34 @@ def detector_frame(
         )
         for key, (x, y, half_width, half_height) in pieces.items()
     )
+
+
+def whole_face(surface: Surface) -> tuple[Surface, Surface | None]:
+    """
+    Return the round face of which a surface is the clear part, and the black rest of this face, None if there is none.
+
+    The face ends in the circle around an outline about the axis. Round surfaces and detectors are returned as they are,
+    and so are those that have no such face.
+    """
+    if surface.semi_diameter is not None or isinstance(surface, Detector):
+        return surface, None
+    clear = surface.outline or rectangle(surface.half_width or 0.0, surface.half_height or 0.0)
+    reach = max((figure.reach for figure in clear.figures if figure.sign == "+"), default=surface.outer_radius)
+    first, *more = clear.figures
+    end = conic_end(surface.curvature, surface.conic)
+    radius = min(_AROUND * reach, 0.5 * (reach + end))
+    if more and more[0].sign == "&" and first == circle(first.sizes[0]).figures[0]:  # cut at this circle
+        clear = Outline((replace(more[0], sign="+"), *(figure for figure in more[1:] if figure.sign != "&")))
+        radius = reach = first.sizes[0]
+    x0, x1, y0, y1 = clear.bounds()
+    rest = clear.around(reach) if max(abs(x0 + x1), abs(y0 + y1)) <= _TOLERANCE_MM * (1 + reach) else None
+    if rest is None or reach >= end:
+        return surface, None
+    if rest.empty:
+        return replace(surface, half_width=None, half_height=None, outline=None, semi_diameter=reach), None
+    face = replace(surface, half_width=None, half_height=None, outline=None, semi_diameter=radius)
+    name, own = f"{surface.name}_aperture", clear.around(radius)
+    return face, replace(face, name=name, semi_diameter=None, outline=own, coating=ABSORBER, scatter=(), mirror=False)
 
 
 def is_gas(material: str) -> bool:
@@ -357,8 +392,8 @@ def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
 
     Raise `MistrayError` if neither clears the surfaces.
     """
-    start = a.rim if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
-    end = b.rim if isinstance(b, Surface) else (b.outer_front, b.z_front)
+    start = (a.outer_radius, a.rim_heights[1]) if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
+    end = (b.outer_radius, b.rim_heights[0]) if isinstance(b, Surface) else (b.outer_front, b.z_front)
     corner = (start[0], end[1]) if start[0] > end[0] else (end[0], start[1])
     failure: MistrayError | None = None
     for points in ([start, end], [start, corner, end]):

@@ -48,6 +48,9 @@ if TYPE_CHECKING:
 MAX_COEFFICIENTS = 9
 """Number of even coefficients a4 … a20 that the `asphere` plugin takes."""
 
+_RIM_SAMPLES = 513
+_LEVEL = 1e-12  # of its radius, by which the heights of a rim may differ by round-off
+
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
@@ -215,6 +218,17 @@ class Surface(Placed):
     def rim(self) -> tuple[float, float]:
         """Radius and z of the outer rim of a coaxial round surface, mm."""
         return self.outer_radius, float(self.z_at(self.outer_radius))
+
+    @property
+    def rim_heights(self) -> tuple[float, float]:
+        """Least and greatest z of the rim of a coaxial round surface, mm: equal without a `sag`; NaN if it has none."""
+        r, z = self.rim
+        if not self.sag:
+            return z, z
+        angle = np.linspace(0, 2 * np.pi, _RIM_SAMPLES)
+        heights = self.z + freeform_sag(r * np.cos(angle), r * np.sin(angle), self.sag_numbers)
+        low, high = float(heights.min()), float(heights.max())
+        return (z, z) if high - low <= _LEVEL * r else (low, high)
 
 
 @dataclass(frozen=True)

@@ -247,6 +247,7 @@ class HostSurfaces:
         self._shapes = np.zeros((len(shapes), max(map(len, shapes), default=0)))
         for row, shape in zip(self._shapes, shapes, strict=True):
             row[: len(shape)] = shape
+        self._reaches = np.array([p.host_reach if isinstance(p, SagSurface) else (0.0,) * 3 for p in table.pieces])
         self._sign = np.array([piece.sign for piece in table.pieces])
 
     def _inward(self, v: np.ndarray, members: np.ndarray) -> np.ndarray:
@@ -296,7 +297,7 @@ class HostSurfaces:
                 own, o, d = members[chosen], start[chosen], way[chosen]
                 bounds = self._bounds[own].T
                 if asphere[chosen[0]]:
-                    t = asphere_crossings(self._shapes[own].T, o, d)
+                    t = asphere_crossings(self._shapes[own].T, self._reaches[own].T, o, d)
                 else:
                     t = quadric_crossings(self._quadric[own].T, bounds[0], o, d)
                 meet(chosen, t, lambda q, some, bounds=bounds: within_bounds(bounds[:, some], q))  # type: ignore[misc]

@@ -28,6 +28,9 @@ SELF_HIT = 1e-5
 # Coordinate in which rims lie: the distance from the axis, x and y, or one of the family (z for a cone)
 ROUND, RECTANGLE, ENDS = range(3)
 NEWTON_STEPS = 8  # onto an asphere
+SAMPLES, MOST_WITHIN = 24, 3  # of a line's stretch by an asphere, and crossings between them that count
+HALVINGS = 52  # of the interval between two samples, at most
+SAME = 1e-7  # relative difference of distances below which they are of one crossing
 SETTLED = 1e-10  # relative size of the last Newton step, below which a hit is found
 AREA_STEPS = 64  # steps along a surface with uniformly drawn points, for its area
 
@@ -374,18 +377,79 @@ def quadric_gradient(a: Any, b: Any, e: Any, q: np.ndarray) -> np.ndarray:
     return np.stack([a * x, a * y, b * z + 0.5 * e], axis=1)
 
 
-def asphere_crossings(shape: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.ndarray:
+def asphere_crossings(shape: Sequence[Any], reach: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.ndarray:
     """
-    Return the distances, (n, 2), mm, at which lines cross an even asphere, found from those to its conic.
+    Return the distances, (n, 2 + `MOST_WITHIN`), mm, at which lines cross an even asphere; NaN for none.
 
-    Newton's method takes at most `NEWTON_STEPS`; distances are NaN where it fails or there is no crossing.
+    They are found from changes of sign within its aperture, and from crossings with its conic where Newton's method
+    gets there within `NEWTON_STEPS`: those beyond the aperture, and two that lie close together.
 
     Parameters
     ----------
     shape : sequence
         Curvature, 1/mm, conic constant, and coefficients a4, a6, …, see `mistray.physics.geometry.sag.sag`.
+    reach : sequence
+        Radius of the aperture and ends of the sag within it, mm.
     o, d : (n, 3) float64
         Points on the lines, mm, and their unit directions.
+    """
+    near, within = _from_conic(shape, o, d), _within(shape, reach, o, d)
+    again = np.abs(near[..., None] - within[:, None]) < SAME * (1 + np.abs(near[..., None]))
+    near[again.any(axis=2)] = np.nan
+    return np.concatenate([near, within], axis=1)
+
+
+def _column(numbers: Any) -> np.ndarray:
+    return np.reshape(numbers, (-1, 1))
+
+
+def _within(shape: Sequence[Any], reach: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return the first crossings of lines with an asphere in its aperture, (n, `MOST_WITHIN`), mm; NaN for none."""
+    (outer, low, high), (x, y, z), (dx, dy, dz) = reach, o.T, d.T
+    across, along = dx * dx + dy * dy, x * dx + y * dy
+    half = np.sqrt(along * along - across * (x * x + y * y - np.square(outer)))
+    ends = np.stack([(low - z) / dz, (high - z) / dz])
+    start = np.fmax((-along - half) / across, np.fmin(*ends))
+    end = np.fmin((half - along) / across, np.fmax(*ends))
+    found = np.full((len(o), MOST_WITHIN), np.nan)
+    beside = (across == 0) & (x * x + y * y > np.square(outer))  # parallel to the axis
+    rays = np.flatnonzero((half >= 0) & (start < end) & ~beside)
+
+    def height(t: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the height over the surface, mm, at distances t, (n, m), of rays, (n,), and its derivative."""
+        (x, y, z), (dx, dy, dz) = (v[rays].T[..., None] for v in (o, d))
+        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        edge, *known = (_column(number[rays] if np.ndim(number) else number) for number in (outer, *shape))
+        r2 = np.minimum(x * x + y * y, edge * edge)
+        c, k, *coefficients = known
+        return z - sag(r2, c, k, coefficients), dz - 2 * sag_derivative(r2, c, k, coefficients) * (x * dx + y * dy)
+
+    t = start[rays, None] + np.linspace(0, 1, SAMPLES) * (end - start)[rays, None]
+    above = height(t, rays)[0] > 0
+    row, place = np.nonzero(above[:, 1:] != above[:, :-1])
+    number = np.arange(len(row)) - np.searchsorted(row, row)
+    row, place, number = (v[number < MOST_WITHIN] for v in (row, place, number))
+    first, last, before = t[row, place], t[row, place + 1], above[row, place]
+    best = 0.5 * (first + last)
+    for _ in range(HALVINGS):  # Newton's steps, and halves where they leave the bracket
+        f, slope = (v[:, 0] for v in height(best[:, None], rays[row]))
+        same = (f > 0) == before
+        first, last = np.where(same, best, first), np.where(same, last, best)
+        new = best - f / slope
+        new = np.where((new >= first) & (new <= last), new, 0.5 * (first + last))
+        settled = np.abs(new - best) < SETTLED * (1 + np.abs(new))
+        best = new
+        if settled.all():
+            break
+    found[rays[row], number] = best
+    return found
+
+
+def _from_conic(shape: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """
+    Return the distances, (n, 2), mm, at which Newton's method finds crossings with an asphere from those of its conic.
+
+    They are NaN where it fails. Parameters are those of `asphere_crossings`.
     """
     curvature, conic, *_ = shape
     t = quadric_crossings((curvature, curvature * (1 + conic), -2.0, 0.0), 0.0, o, d)

@@ -540,6 +540,8 @@ def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():
     light = mistray.trace(built.prescription.to_scene(), rays=20_000, field_deg=30.0, max_reflections=3)
     assert light.energy.cut["medium"] == 0.0
     assert abs(light.energy.closure) < 1e-5
-    cut = [replace(rows[0], aperture=Outline((OutlineFigure("ellipse", sizes=(9.0, 8.0)),))), *rows[1:]]
-    notes = build(Sequential("toroid", tuple(cut), aperture=12.0)).notes
-    assert any("its outline is not a centred circle" in note for note in notes)
+    for x in (0.0, 1.0):
+        cut = replace(rows[0], aperture=Outline((OutlineFigure("ellipse", x=x, sizes=(9.0, 8.0)),)))
+        built = build(Sequential("toroid", (cut, *rows[1:]), aperture=12.0))
+        assert any("it has no edges" in note for note in built.notes) == bool(x)
+        assert ("S1_aperture" in by_name(built.prescription)) == (not x)

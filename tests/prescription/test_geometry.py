@@ -10,7 +10,7 @@ import pytest
 from refusals import each_refused
 
 from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface, trace
-from mistray.prescription import Stop, barrel, detector_frame, fresnel, lens_edge, wall
+from mistray.prescription import Stop, barrel, circle, detector_frame, fresnel, lens_edge, rectangle, wall
 
 
 def profile(pieces):
@@ -174,3 +174,24 @@ def test_spots_of_fresnel_lenses_and_bad_numbers() -> None:
         ({"depth_mm": 1.0, "radius": math.inf}, "0 rings"),
         by=lambda numbers: fresnel("f", **{"radius": RADIUS, "semi_diameter": SIZE, **numbers}),
     )
+
+
+def test_a_barrel_blackens_faces_around_their_outlines():
+    """Their rims lie in circles, from which edges and walls begin."""
+    front = Surface("L1_front", radius=50, half_width=4, half_height=3, back="1.5", part="L1")
+    rear = Surface("L1_rear", z=4, outline=circle(9.0).within(6.0), front="1.5", part="L1")
+    third = Surface("L2_front", z=9, outline=rectangle(6.0, 2.0).within(5.0), back="1.5", part="L2")
+    faces = barrel([front, rear, third, plano("L2_rear", 12.0, 5.0, front="1.5", part="L2")])
+    rests = {face.name: face for face in faces if isinstance(face, Surface)}
+    assert list(rests) == ["L1_front_aperture", "L2_front_aperture"]
+    rest = rests["L1_front_aperture"]
+    assert (rest.radius, rest.coating, rest.back) == (50, Coating(R=0.0), "1.5")
+    inside = rest.outline.contains(np.array([3.9, 4.1, 0.0, 0.0, 4.1]), np.array([0.0, 0.0, 2.9, 3.1, 3.1]))
+    assert inside.tolist() == [False, True, False, True, False]  # the last lies beyond the corners
+    z = 50 - math.sqrt(50**2 - 5.005**2)
+    assert profile(face for face in faces if not isinstance(face, Surface)) == [
+        ("L1_flange_1", (pytest.approx(5.005), pytest.approx(z)), (6.0, pytest.approx(z))),
+        ("L1_edge", (6.0, pytest.approx(z)), (6.0, 4.0)),
+        ("barrel_1_wall", (6.0, 4.0), (5.0, 9.0)),
+        ("L2_edge", (5.0, 9.0), (5.0, 12.0)),
+    ]

@@ -22,6 +22,7 @@ from mistray.plugins.shapes.implicit import Implicit, sqrt
 from mistray.prescription import Outline, OutlineFigure, read_grid
 from mistray.ranges import RADIUS_MM, Range
 from mistray.surfaces import mosaic_search, seams, shell_tree
+from mistray.surfaces.host_rays import first_hit
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.mosaic_search import BITS, FEWEST, mosaics
 from mistray.surfaces.surface import NO_SURFACE
@@ -479,3 +480,22 @@ def test_a_shape_on_the_axis(load_text) -> None:
     scene, _ = load_text(text)
     assert SurfaceTable(scene, 550.0).free_space is None
     assert mistray.trace(scene, rays=100).energy.absorbed["disc"][0] == pytest.approx(np.pi)
+
+
+def test_host_rays_meet_a_cap_just_within_its_rim():
+    """Chords to r = 9.9 … 9.999 mm of a cap of 10 mm, which leave the box around its outline right behind it."""
+    table = SurfaceTable(scene({"type": "freeform", "radius": 50.0, "clip_1": "+circle", "clip_1_radius": 10.0}), 550.0)
+    x, angle = np.meshgrid(np.linspace(9.9, 9.999, 34), np.linspace(0.0, 2 * np.pi, 24, endpoint=False))
+    r, angle, start = x.ravel(), angle.ravel(), -3.0
+    height = sag(np.array([start, 0.0]), np.zeros(2), {"curvature": 1 / 50})[0]
+    to = sag(r, 0.0 * r, {"curvature": 1 / 50})
+    along = np.column_stack([r - start, 0.0 * r, to - height])
+    length = np.linalg.norm(along, axis=1)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0 * c], [s, c, 0 * c], [0 * c, 0 * c, 0 * c + 1]]).transpose(2, 0, 1)
+    o = np.einsum("nij,j->ni", turn, [start, 0.0, height])
+    d = np.einsum("nij,nj->ni", turn, along / length[:, None])
+    k = table.ids.index("shape")
+    hit, p, _ = first_hit(table, o, d, np.full(len(o), k))
+    assert np.all(hit == k)
+    np.testing.assert_allclose(np.linalg.norm(p - o, axis=1), length, rtol=1e-9)

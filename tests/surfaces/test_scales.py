@@ -10,6 +10,7 @@ import scene_dicts
 
 import mistray
 from mistray.metrics import metric as metrics
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.host_rays import crossings, first_hit, inside, normals
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -268,3 +269,28 @@ def test_first_hits(name) -> None:
     assert np.allclose(p[hit], (o + np.where(hit, nearest, 0)[:, None] * d)[hit], rtol=0, atol=1e-9 * size)
     for k in set(expected[hit]):
         assert np.allclose(normal[surface == k], normals(table, k, p[surface == k]), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("radius", "outer", "coefficients"),
+    [
+        (-15.649, 1.32375102, (0.0693172, -0.0431157, 0.0233346, -0.0233074, 0.0222119, -0.00484076)),
+        (21.119, 1.098, (0.101117, -0.0321118, 0.0903668, -0.0337156, -0.00652751)),
+    ],
+)
+def test_host_rays_find_all_crossings_with_a_strong_asphere(radius, outer, coefficients):
+    """Lines through points of faces of the phone camera, up to 66° off the normal; 4 and 5 % of them were missed."""
+    piece, rng = SagSurface.of(1 / radius, 0.0, coefficients, outer=outer), np.random.default_rng(1)
+    q = piece.points(*rng.random((2, 3000)))
+    d, normal = rng.normal(size=q.shape), piece.gradient(q)
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    steep = np.abs(np.sum(d * normal, axis=1)) > 0.4 * np.linalg.norm(normal, axis=1)
+    q, d = q[steep], d[steep]
+    away = 5 * rng.random(len(q))
+    with np.errstate(all="ignore"):
+        t = piece.crossings(q - away[:, None] * d, d)
+        parallel = piece.crossings(np.array([[1.01 * outer, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0]]))
+    assert np.nanmin(parallel) == np.nanmax(parallel) == pytest.approx(1 + piece.sag((1.01 * outer) ** 2))
+    apart = np.abs(t - away[:, None])
+    assert np.all(np.min(apart, axis=1, where=np.isfinite(apart), initial=np.inf) < 1e-8)
+    assert np.all(np.sum(apart < 1e-6, axis=1) == 1)

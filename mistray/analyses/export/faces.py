@@ -23,6 +23,7 @@ FEWEST, MOST = 8, 256  # points each way that a B-spline goes through
 BETWEEN = 3  # points between two of these at which it is compared
 ROUNDING = 1e-10  # slope of a profile, below which it is flat or upright
 FLAT = 1e-12  # of its size, by which a sag may depart from a plane
+TOUCHING = 1e-6  # of its size: borders of an outline that are nearer meet
 
 
 class Turner:
@@ -227,8 +228,10 @@ class Patch:
     ) -> None:
         self.name, self.height, self.figures, self.matrix, self.tolerance = name, height, figures, matrix, tolerance
         self.error_mm = 0.0
-        x, y = Outline(figures).sample(17)
-        z = height(x, y)
+        # With the border, since a narrow patch has few points of a grid, which may lie in a plane
+        points = np.concatenate([np.column_stack(Outline(figures).sample(17)), *map(_border_points, figures)])
+        points = points[np.isfinite(height(*points.T))]
+        (x, y), z = points.T, height(*points.T)
         terms = np.column_stack([np.ones(len(x)), x, y])
         self._plane = np.linalg.lstsq(terms, z, rcond=None)[0]
         size = float(max(np.ptp(x), np.ptp(y)))
@@ -376,9 +379,11 @@ def loops_of(outline: Outline) -> tuple[OutlineFigure, ...] | None:
     if first.sign != "+" or any(figure.sign != "-" for figure in more):
         return None
     borders = [_border_points(figure) for figure in outline.figures]
+    near = TOUCHING * first.reach
     for k, hole in enumerate(more, start=1):
-        inside = Outline((first,)).contains(*borders[k].T)
-        apart = [not Outline((_added(hole),)).contains(*borders[n].T).any() for n in range(len(borders)) if n != k]
+        inside = Outline((first,)).touches(*borders[k].T, -near)
+        own = Outline((_added(hole),))
+        apart = [not own.touches(*borders[n].T, near).any() for n in range(len(borders)) if n != k]
         if not inside.all() or not all(apart):
             return None
     return outline.figures

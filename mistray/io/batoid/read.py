@@ -30,6 +30,7 @@ from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlin
 from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.physics.sags.grid import Grid
+from mistray.prescription.bodies.placing import moved_as_one
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import barrel
 from mistray.prescription.imported_beam import Fill, beam_size, check_beam
@@ -261,7 +262,7 @@ class _Reader:
         if self.direction @ frame[:3, 2] < 0:
             local.reverse()
         place = {key: getattr(group[0], key) for key in ("x", "y", "z", "tilt_deg")}
-        self.structures += [replace(piece, **place) for piece in barrel(local, first_space=taken + 1)]
+        self.structures += moved_as_one(barrel(local, first_space=taken + 1), **place)
 
     def _shape(self, interface: Any) -> dict[str, Any]:
         """Return the figure and clear aperture of an optical surface as arguments of `Surface`, in mm."""

@@ -132,6 +132,13 @@ class OutlineFigure:
         x, y = self.placed(self.corners).T
         return float(x.min()), float(x.max()), float(y.min()), float(y.max())
 
+    @property
+    def reach(self) -> float:
+        """Upper bound of the distance of the figure's points from the outline's origin, mm."""
+        if self.kind in ("circle", "ellipse"):
+            return math.hypot(self.x, self.y) + max(self.sizes)
+        return float(np.hypot(*self.placed(self.corners).T).max())
+
     def placed(self, points: np.ndarray) -> np.ndarray:
         """Return points, (n, 2), mm, converted from the frame of the figure to that of its outline."""
         c, s = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg))

@@ -123,12 +123,13 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
         notes.append(f"surface {number}: its aperture has no end on one side; a plate of {widest:.6g} mm ends it")
         clear = clear.within(widest)
     if len(clear.figures) == 1 and first.kind == "circle":
-        outer = max(widest, _PLATE * first.sizes[0])
+        outer = max(widest + math.hypot(first.x, first.y), _PLATE * first.sizes[0])
         own = f"{name}_aperture"
         return [Structure(own, outer, 0.0, first.sizes[0], 0.0, x=first.x, y=first.y, part=own)]
     if len(clear.figures) == 1 and first.kind == "rectangle" and not first.angle_deg:
         window = Detector(half_width=first.sizes[0], half_height=first.sizes[1])
-        frame = detector_frame(window, max(widest, _PLATE * window.outer_radius), name=f"{name}_frame")
+        outer = max(widest + math.hypot(first.x, first.y), _PLATE * window.outer_radius)
+        frame = detector_frame(window, outer, name=f"{name}_frame")
         return [replace(piece, x=piece.x + first.x, y=piece.y + first.y) for piece in frame]
     x0, x1, y0, y1 = clear.bounds()
     around = clear.around(max(widest, _PLATE * math.hypot(max(-x0, x1), max(-y0, y1))))

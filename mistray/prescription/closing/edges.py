@@ -16,9 +16,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import fixed_angles_deg
-from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating
-from mistray.prescription.geometry import barrel, detector_frame, gas_of, is_gas, lens_edge, wall
+from mistray.prescription.geometry import barrel, detector_frame, gas_of, is_gas, lens_edge, wall, whole_face
 from mistray.prescription.model import Detector, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
 
@@ -111,9 +110,10 @@ class Closing:
         self._bodies(chain)
         self._stops(chain)
         solids = [link for link in chain if isinstance(link[0], Surface)]
-        for (a, forward), (b, _) in pairwise(solids):
-            assert isinstance(a, Surface)
-            assert isinstance(b, Surface)
+        for (one, forward), (other, _) in pairwise(solids):
+            assert isinstance(one, Surface)
+            assert isinstance(other, Surface)
+            (a, _), (b, _) = map(whole_face, (one, other))
             if self._walled(a, b, forward):
                 self._wall(a, b, forward)
 
@@ -155,15 +155,18 @@ class Closing:
         `forward` says whether light goes through them in this order. A body of which a surface has an `outline` gets a
         note instead.
         """
-        frame, local = _local(run)
+        part = run[0].part or run[0].name
+        whole = [whole_face(surface) for surface in run]
+        if not all(_rimmed(surface) for surface, _ in whole):
+            self.notes.append(f"part '{part}': it has no edges, for a circle about its axis would not go round it")
+            return
+        known = {piece.name for piece in self.structures}
+        self.structures += [rest for _, rest in whole if rest is not None and rest.name not in known]
+        frame, local = _local([surface for surface, _ in whole])
         rim = max(surface.outer_radius for surface in local)
         outside = gas_of(local[0].front, local[-1].back)
         coating = None if self.edges == "open" else BLACK
-        part = run[0].part or run[0].name
         faces: list[Structure] = []
-        if any(surface.outline is not None for surface in local):
-            self.notes.append(f"part '{part}': its outline is not a centred circle; it has no edges")
-            return
         freeform = any(surface.sag for surface in local)
         try:
             for k, (first, second) in enumerate([] if freeform else pairwise(local)):
@@ -174,10 +177,14 @@ class Closing:
         except MistrayError:
             faces = []
             self.notes.append(f"part '{part}': its edge is a cone from rim to rim, a cylinder would cut into a surface")
-        for first, second in [] if faces else pairwise(local):
-            points = [first.rim, second.rim]
-            if freeform:  # past the lowest and the highest point of both rims, so that no light gets out between
-                points = [(first.outer_radius, _rim_heights(first)[0]), (second.outer_radius, _rim_heights(second)[1])]
+        for k, (first, second) in enumerate([] if faces else pairwise(local)):
+            # From the lowest point of the first rim to the highest of the second, so that no light gets out between;
+            # the edge before has the first rim of a cemented body
+            (low, high), ends = first.rim_heights, second.rim_heights
+            points = [(first.outer_radius, z) for z in (high if k else low, high)]
+            points += [(second.outer_radius, z) for z in ends]
+            if first.outer_radius == second.outer_radius:
+                points = [points[0], points[-1]]
             own_part = (first if forward else second).part
             name = f"{own_part}_edge"
             faces += wall(name, points, coating=coating, part=own_part, front=first.back, back=outside)
@@ -207,7 +214,7 @@ class Closing:
                 self.structures.append(placed(ring, item.frame))
 
     def _walled(self, a: Surface, b: Surface, forward: bool) -> bool:
-        both = self.edges != "open" and not a.mirror and not b.mirror and a.outline is None and b.outline is None
+        both = self.edges != "open" and not a.mirror and not b.mirror and _rimmed(a) and _rimmed(b)
         return both and is_gas(_behind(a, forward)) and _coaxial(a, b)
 
     def _wall(self, a: Surface, b: Surface, forward: bool) -> None:
@@ -217,7 +224,7 @@ class Closing:
         try:
             faces = barrel((first, second), first_space=self.spaces)
         except MistrayError as error:
-            (r_1, z_1), (r_2, z_2) = first.rim, second.rim
+            r_1, r_2, z_1, z_2 = first.outer_radius, second.outer_radius, first.rim_heights[1], second.rim_heights[0]
             if z_2 <= z_1:
                 self.notes.append(f"the space between '{a.name}' and '{b.name}' is open: {error}")
                 return
@@ -289,12 +296,9 @@ def mirror_back(
     return tuple(result)
 
 
-def _rim_heights(surface: Surface) -> tuple[float, float]:
-    """Return the smallest and largest z, mm, of the rim of a round coaxial surface, which may be a freeform."""
-    angle = np.linspace(0, 2 * np.pi, _SAMPLES)
-    r = surface.outer_radius
-    z = surface.z + freeform_sag(r * np.cos(angle), r * np.sin(angle), surface.sag_numbers)
-    return float(z.min()), float(z.max())
+def _rimmed(surface: Surface) -> bool:
+    """True if walls can join a surface in a circle about its axis."""
+    return surface.outline is None and bool(np.isfinite(surface.rim_heights).all())
 
 
 def _behind(surface: Surface, ahead: bool) -> str:
@@ -319,10 +323,10 @@ def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
     if all(surface.coaxial for surface in run):
         return np.eye(4), list(run)
     frame = run[0].to_world()
-    back = np.linalg.inv(frame)
-    heights = [float((back @ surface.to_world())[2, 3]) for surface in run]
+    places = [np.linalg.inv(frame) @ surface.to_world() for surface in run]
     return frame, [
-        replace(surface, x=0.0, y=0.0, z=z, tilt_deg=(0.0, 0.0, 0.0)) for surface, z in zip(run, heights, strict=True)
+        replace(surface, x=0.0, y=0.0, z=float(own[2, 3]), tilt_deg=(0.0, 0.0, fixed_angles_deg(own[:3, :3])[2]))
+        for surface, own in zip(run, places, strict=True)
     ]
 
 

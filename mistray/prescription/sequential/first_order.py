@@ -195,7 +195,7 @@ def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
     if lens.field_kind == "image_height":
         if math.isinf(data.efl):
             raise MistrayError(f"lens '{lens.name}': it is afocal; give its fields as angles, not image heights")
-        return fields / data.efl
+        return np.asarray(fields / (data.efl * indices(lens, data.wavelength_nm)[0]))
     raise MistrayError(
         f"lens '{lens.name}': its fields are object heights and its object lies at infinity; give angles"
     )

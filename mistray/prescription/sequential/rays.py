@@ -62,8 +62,11 @@ def motion(decentre: Decentre) -> Array:
 
 
 def materials_before(lens: Sequential) -> tuple[str, ...]:
-    """Return the material string of the medium in front of each row."""
-    return (lens.object_material, *(row.material for row in lens.rows[:-1]))
+    """Return the material string of the medium in front of each row; mirrors and coordinate breaks change none."""
+    result = [lens.object_material]
+    for row in lens.rows[:-1]:
+        result.append(row.material if row.kind == "surface" and not row.mirror else result[-1])
+    return tuple(result)
 
 
 def indices(lens: Sequential, wavelength_nm: float | None = None) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -142,7 +141,11 @@ class Freeform(TracedSurface):
 
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         reach = 1.01 * np.hypot(self.size, np.abs(self.z_range).max())
-        return sampled_crossings(self.residual, o, d, reach, SAMPLES, MOST_CROSSINGS, d[:, 2] * self.way >= 0)
+        # Beyond the box of the outline the sag goes on as at its sides
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sides = np.concatenate([(side * np.array(self.half) - o[:, :2]) / d[:, :2] for side in (-1, 1)], axis=1)
+        met = d[:, 2] * self.way >= 0
+        return sampled_crossings(self.residual, o, d, reach, SAMPLES, MOST_CROSSINGS, met, sides)
 
     def inside(self, q: np.ndarray) -> np.ndarray:
         return np.asarray(self.outline.contains(q[:, 0], q[:, 1]))
@@ -271,14 +274,4 @@ def _reach(outline: Outline, half: tuple[float, float]) -> float:
     first, *others = outline.figures
     if first.sign == "-":
         return box
-    return min(box, max(_farthest(figure) for figure in (first, *(one for one in others if one.sign == "+"))))
-
-
-def _farthest(figure: OutlineFigure) -> float:
-    """Return an upper bound, mm, of the distance of an outline figure's points from the origin."""
-    away = float(np.hypot(figure.x, figure.y))
-    if figure.kind in ("circle", "ellipse"):
-        return away + max(figure.sizes)
-    if figure.kind == "rectangle":
-        return away + math.hypot(*figure.sizes)
-    return float(np.hypot(*figure.placed(figure.corners).T).max())
+    return min(box, max(figure.reach for figure in (first, *(one for one in others if one.sign == "+"))))

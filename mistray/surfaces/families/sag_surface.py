@@ -161,6 +161,11 @@ class SagSurface(TracedSurface):
         return (1 - 1e-15) * conic_end(self.curvature, self.conic)
 
     @property
+    def host_reach(self) -> tuple[float, float, float]:
+        """Radius up to which the sag is defined within the aperture, and its ends along z, mm."""
+        return min(self.size, self._end), *self.z_range
+
+    @property
     def detector_half(self) -> tuple[float, float]:
         return (self.outer, self.outer) if self.outer else self.half_size
 
@@ -185,7 +190,7 @@ class SagSurface(TracedSurface):
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         if not self.coefficients:
             return super().crossings(o, d)
-        return asphere_crossings((self.curvature, self.conic, *self.coefficients), o, d)
+        return asphere_crossings((self.curvature, self.conic, *self.coefficients), self.host_reach, o, d)
 
     def residual(self, q: np.ndarray) -> np.ndarray:
         if self.coefficients:

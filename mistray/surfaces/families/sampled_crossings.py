@@ -17,6 +17,7 @@ def sampled_crossings(
     samples: int,
     most: int,
     met: np.ndarray | bool = True,
+    bends: np.ndarray | None = None,
 ) -> np.ndarray:
     """
     Return the distances of at most `most` crossings of lines with a surface, (n, most), mm; NaN for none.
@@ -33,6 +34,8 @@ def sampled_crossings(
         Samples of the part of a line in the ball, and crossings that a line may have.
     met : (n,) bool
         Whether lines may meet the surface at all; by default all may.
+    bends : (n, k) float64, optional
+        Distances along the lines, mm, at which F may have a kink; they are samples, too. NaN: none.
     """
     found = np.full((len(o), most), np.nan)
     middle = -np.einsum("ij,ij->i", o, d)
@@ -40,6 +43,8 @@ def sampled_crossings(
     rays = np.flatnonzero((off2 < reach**2) & met)
     half = np.sqrt(reach**2 - off2[rays])
     t = middle[rays, None] + half[:, None] * np.linspace(-1, 1, samples)
+    if bends is not None:
+        t = np.sort(np.concatenate([t, np.clip(np.nan_to_num(bends[rays]), t[:, :1], t[:, -1:])], axis=1))
 
     def value(t: np.ndarray, rays: np.ndarray) -> np.ndarray:
         q = o[rays][:, None] + t[..., None] * d[rays][:, None]

@@ -13,9 +13,11 @@ from scipy.interpolate import BSpline
 
 import mistray
 from mistray.analyses.export.beams import BeamFinder
+from mistray.analyses.export.faces import loops_of
 from mistray.io.cad.part import CadPart
 from mistray.io.cad.step import read_step
 from mistray.mechanics import read_mechanics
+from mistray.prescription import Outline, OutlineFigure, circle
 from mistray.report import rays_of_paths
 
 TOL = 5e-3  # mm: largest distance of the facets from the faces
@@ -246,6 +248,29 @@ def test_freeforms_are_within_their_tolerance(tmp_path):
     assert shape.outline.touches(x, y, 1e-4).all()
     whole = np.pi * 9**2 - 8.0  # over x and y
     assert area(part, flat=0.0) == pytest.approx(whole, abs=2 * np.pi * 9 * 0.01)
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        {"clip_2": "-circle", "clip_2_radius": 9.8},
+        {"clip_2": "-rectangle", "clip_2_half_width": 7.0, "clip_2_half_height": 7.0},
+    ],
+)
+def test_narrow_freeforms_are_not_flat(tmp_path, inner):
+    """Of a coarse grid over them few points are within, all at one height."""
+    outline = {"radius": 30.0, "clip_1": "+circle", "clip_1_radius": 10.0} | inner
+    scene = scene_of(piece={"type": "freeform", "bsdf": MIRROR} | outline)
+    written = mistray.export_step(scene, tmp_path / "piece.step")
+    part = parts_of(written.path, 0.01)["piece"]
+    x, y, z = part.vertices.T
+    assert np.abs(z - scene.shapes()[0].height(x, y)).max() <= 1e-5 + 4e-6
+
+
+def test_holes_whose_corners_touch_the_rim_are_left_out():
+    for half, found in ((6.0, True), (8.0, False)):
+        hole = OutlineFigure("rectangle", "-", sizes=(half, 6.0))
+        assert (loops_of(Outline((*circle(10.0).figures, hole))) is not None) == found
 
 
 def test_mirrors_are_sheets_or_solids_of_the_thickness_that_is_asked_for(tmp_path):
