@@ -1,6 +1,7 @@
 """Tables and files of scatter: what they hold comes back; a polish, Speos, ABg catalogues; and what is wrong."""
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import mistray  # noqa: F401
 from mistray.prescription import Scatter
 from mistray.scatter.abg import ABg
 from mistray.scatter.evaluate import bsdf
+from mistray.scatter.harvey_shack import HarveyShack
 from mistray.scatter.k_correlation import KCorrelation
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv, write_bsdf_csv
 from mistray.scatter.measured.psd_table import PsdTable
@@ -26,7 +28,7 @@ from mistray.scatter.measured.speos_bsdf import read_speos_bsdf
 from mistray.scatter.measured.tabulated import Tabulated
 from mistray.scatter.measured.zemax_abg import abg_from_catalogue, read_abg_data
 from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf, write_zemax_bsdf
-from mistray.scatter.scan import table
+from mistray.scatter.scan import IncidentLight, scan, table
 from mistray.scatter.total import lobe_total
 
 ANGLES = np.arange(0.0, 85.0, 10.0)
@@ -382,16 +384,18 @@ THETAS, PHIS = np.arange(0.0, 90.5, 0.5), np.arange(0.0, 361.0, 30.0)
 INCIDENCES = (0.0, 30.0, 60.0)
 
 
-def speos(path: Path, values, *, of_bsdf: bool = True, total: str = "350\t30\n850\t30", text: str = "") -> Path:
+def speos(
+    path: Path, values, *, of_bsdf: bool = True, total: str = "350\t30\n850\t30", text: str = "", phis=PHIS, at="0.0\t0"
+) -> Path:
     head = "OPTIS - Anisotropic BSDF surface file v8.0\n0\nComment\n23\nMeasurement description\n0\t1\t0\n1\t0\n"
     head += f"{int(of_bsdf)}\n1\n0.0\n{len(INCIDENCES)}\n" + "\t".join(map(str, INCIDENCES))
     blocks = []
     for incidence in INCIDENCES:
-        rows = ["\t".join(map(str, PHIS))]
-        rows += ["\t".join(map(str, [t, *(values(incidence, t, p) for p in PHIS)])) for t in THETAS]
-        blocks.append(f"{len(THETAS)} {len(PHIS)}\n" + "\n".join(rows))
+        rows = ["\t".join(map(str, phis))]
+        rows += ["\t".join(map(str, [t, *(values(incidence, t, p) for p in phis)])) for t in THETAS]
+        blocks.append(f"{len(THETAS)} {len(phis)}\n" + "\n".join(rows))
     lines = total.count("\n") + 1
-    path.write_text(f"{head}\t\n0.0\t0\n\n{lines}\n{total}\n" + "\n".join(blocks) + "\n" + text, encoding="utf-8")
+    path.write_text(f"{head}\t\n{at}\n\n{lines}\n{total}\n" + "\n".join(blocks) + "\n" + text, encoding="utf-8")
     return path
 
 
@@ -418,6 +422,47 @@ def test_incidences_and_azimuths_of_speos(tmp_path):
     assert samples.frame == "normal"
     azimuth, polar = np.unravel_index(np.argmax(samples.values[2]), samples.values[2].shape)
     assert (samples.azimuth_deg[azimuth], samples.polar_deg[polar]) == (0.0, 60.0)
+
+
+@pytest.mark.parametrize("of_bsdf", [True, False])
+@pytest.mark.parametrize("incidence", [0, 30])
+def test_total_of_speos(tmp_path, incidence, of_bsdf):
+    """
+    A trace scatters what the file states, whatever its grid.
+
+    It does so for a narrow peak at the pole, a last azimuth before 360°, and noise of the intensity at the horizon.
+    """
+
+    def values(i: float, t: float, p: float) -> float:
+        theta, phi, specular = np.radians([t, p, i])
+        x, y = np.sin(theta) * np.cos(phi) - np.sin(specular), np.sin(theta) * np.sin(phi)
+        return np.exp(-(x * x + y * y) / 0.04**2) * (1.0 if of_bsdf else np.cos(theta)) + 1e-4
+
+    file = tmp_path / "a.anisotropicbsdf"
+    speos(file, values, of_bsdf=of_bsdf, phis=np.arange(0.0, 360.0, 20.0), at=f"{incidence}\t0")
+    (found,) = scan(Tabulated.read(file), [incidence])
+    assert found.scattered == pytest.approx(0.3, rel=1e-3)
+
+
+def test_rotation_of_the_total_of_speos(tmp_path):
+    """The last two of three rotations scatter twice as much as the first; the total is that of the second."""
+    file = tmp_path / "a.anisotropicbsdf"
+    content = speos(file, lambda i, t, p: 1.0 + (p < 1), at="0.0\t120").read_text(encoding="utf-8")
+    head, data = content.split("850\t30\n")
+    one = f"{len(INCIDENCES)}\n" + "\t".join(map(str, INCIDENCES))
+    head = head.replace(f"1\n0.0\n{one}", f"3\n0.0\t120.0\t240.0\n{one}\n{one}\n{one}")
+    twice = re.sub(r"\t([12])\.0", lambda match: f"\t{2 * int(match[1])}.0", data)
+    file.write_text(f"{head}850\t30\n{data}{twice}{twice}", encoding="utf-8")
+    model = Tabulated.read(file, anisotropy="keep")
+    found = [scan(model, [0.0], light=IncidentLight(rotation_deg=angle))[0].scattered for angle in (0.0, 120.0)]
+    assert found == pytest.approx([0.15, 0.3], rel=0.01)
+
+
+def test_totals_of_a_narrow_peak():
+    """The TIS in a written file is that of the model, within the straight lines of its table."""
+    polish = HarveyShack(b0=1e4, l=3e-4, s=-2.2, event="reflection")
+    expected = [found.scattered for found in scan(polish, [0.0, 60.0])]
+    assert table(polish, [0.0, 60.0], "specular").totals() == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), vectors.toml("refusals.toml")["files of Speos"])

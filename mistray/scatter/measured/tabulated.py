@@ -44,7 +44,7 @@ class Tabulated(Placement):
     specular direction, r and the azimuth about it. Between two angles of incidence the scatter follows the specular
     direction, so that a peak moves and does not double. Beyond the first and the last angle it keeps its form about the
     specular direction. Between two rotations of the sample it turns with the sample or stays with the plane of
-    incidence, whichever changes it less.
+    incidence, whichever changes it less. If the file states the total scatter, the model has this total.
 
     Attributes
     ----------
@@ -101,17 +101,13 @@ class Tabulated(Placement):
             self._first.check_cover()
         if not np.any(self._above & (self._distances > SMALLEST_R) & (self._grid > 0)):
             raise MistrayError(f"{self.samples.title}: all values are 0; leave the model out")
-        angles, cosines = self._first.specular_deg, np.cos(np.radians(self._first.specular_deg))
-        lobe = Lobe("reflection", self._carrier, ratio=self._ratio)  # angles are counted from the specular direction
-        profile = RadialTable.of(self._carrier)
-        for rotation in self.samples.rotation_deg:
-            totals = lobe_total(lobe, cosines, 1.0, 1.0, profile, np.radians(rotation))
+        for rotation, totals in zip(self.samples.rotation_deg, self._scale * self._totals, strict=True):
             worst = int(np.argmax(totals))
             if totals[worst] > 1 + ROUNDING:
                 turned = f" and rotation {rotation:g}°" if self.anisotropic else ""
                 raise MistrayError(
-                    f"{self.samples.title}: TIS = {totals[worst]:.4g} at {angles[worst]:g}°{turned}, more than all "
-                    "light; check the unit (1/sr) and whether the values are cosine corrected"
+                    f"{self.samples.title}: TIS = {totals[worst]:.4g} at {self._first.specular_deg[worst]:g}°{turned}, "
+                    "more than all light; check the unit (1/sr) and whether the values are cosine corrected"
                 )
 
     @classmethod
@@ -156,7 +152,7 @@ class Tabulated(Placement):
         """Return the lobe of an event, or () if only the other event was measured, see `Placement.event_lobes`."""
         if self.samples.event not in (None, event):
             return ()
-        return (Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio),)
+        return (Lobe(event, lambda r: self._scale * self._carrier(r), shares=self.shares, ratio=self._ratio),)
 
     @property
     def anisotropic(self) -> bool:
@@ -208,6 +204,23 @@ class Tabulated(Placement):
         log_r, log_f = self._nodes
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.interp(np.log(r), log_r, log_f)))
+
+    @cached_property
+    def _totals(self) -> np.ndarray:
+        """TIS at the d rotations and a angles of incidence of the table, (d, a), without `_scale`."""
+        lobe = Lobe("reflection", self._carrier, ratio=self._ratio)  # angles are counted from the specular direction
+        cosines, profile = np.cos(np.radians(self._first.specular_deg)), RadialTable.of(self._carrier)
+        rotations = np.radians(self.samples.rotation_deg)
+        return np.array([lobe_total(lobe, cosines, 1.0, 1.0, profile, rotation) for rotation in rotations])
+
+    @cached_property
+    def _scale(self) -> float:
+        """Factor with which the model has the total that the file states; 1 if it states none."""
+        if self._first.stated is None:
+            return 1.0
+        total, specular, rotation = self._first.stated
+        found = [np.interp(specular, self._first.specular_deg, row) for row in self._totals]
+        return float(total / np.interp(rotation, self.samples.rotation_deg, found, period=360.0))
 
     @cached_property
     def _ratio(self) -> RatioTable:
