@@ -25,7 +25,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -107,20 +107,21 @@ class CoatingFile(Mapping[str, CoatingModel]):
     def __len__(self) -> int:
         return len(self._sections)
 
-    def mirror(self, name: str) -> Stack:
+    def mirror(self, name: str) -> CoatingModel:
         """
-        Return the coating of a mirror, whose last layer is the substrate; it is opaque.
+        Return the coating of a mirror, which is opaque: the last layer is the substrate, and other coatings have T = 0.
 
         Raises
         ------
         MistrayError
-            If a look-up fails, or the coating is not described by layers.
+            If a look-up fails, as of an item.
         """
-        section = self._find(name)
-        stack = self._make(section, mirror=True)
-        if not isinstance(stack, Stack):
-            raise MistrayError(f"{self._where(section)}: {section.name} has no layers; give its R and T = 0 instead")
-        return stack
+        found = self._make(self._find(name), mirror=True)
+        if isinstance(found, Ideal):
+            return replace(found, T=0.0)
+        if isinstance(found, CoatingTable):
+            return replace(found, shares=found.shares * [[1.0], [1.0], [0.0]])
+        return found
 
     def _find(self, name: str) -> _Section:
         section = self._sections.get(name.upper())

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.coatings import Stack, coating_from_text
+from mistray.coatings import Stack, coating_from_text, read_coating
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.io.to_sequential import to_sequential
 from mistray.materials import complex_index, refractive_index
@@ -197,7 +197,10 @@ def _coating(
     nm = lens.wavelengths_nm[lens.primary]
     front, behind = (complex_index(side, nm) for side in sides)
     text = coating.preset or coating.layers or coating.table or ""
-    answer = coating_from_text(text, coating.design_nm)
+    if coating.table is not None:
+        answer = read_coating(text, coating.design_nm, coating.mirror)
+    else:
+        answer = coating_from_text(text, coating.design_nm)
     if isinstance(answer, Stack):
         answer = replace(answer, first=coating.first)
     found = answer.response(nm, front, behind, np.ones(1), True)

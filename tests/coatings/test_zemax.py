@@ -101,6 +101,13 @@ class TestLayers:
         as_window = file["ALUM"].response(550.0, AIR, AIR, ONE, True)
         assert as_window.R.max() < 0.05, "0.1 nm of aluminium is no mirror"
 
+    def test_mirrors_without_layers_transmit_nothing(self, file) -> None:
+        assert file.mirror("SPLIT") == Ideal(0.5, 0.0, "SPLIT")
+        table = file.mirror("MEASURED")
+        assert table.opaque
+        at_45 = np.cos(np.radians([45.0]))
+        np.testing.assert_allclose(table.response(500.0, AIR, AIR, at_45, False).R, [[0.05, 0.02]], atol=1e-12)
+
 
 def test_ideal_coatings_tables_and_what_is_not_known(file) -> None:
     """Of the retarder s is real, p has a quarter wave in both: in mistray's exp(-iωt) the sign is turned."""
@@ -124,7 +131,6 @@ def test_ideal_coatings_tables_and_what_is_not_known(file) -> None:
         (lambda: file["SLOPED"], "line 51: taper RADIAL"),
         (lambda: file["VENDOR.ZEC"], "line 68: coating VENDOR.ZEC is encrypted"),
         (lambda: file["measure"], "no coating 'measure'"),
-        (lambda: file.mirror("SPLIT"), r"line \d+: SPLIT has no layers; give its R and T = 0 instead"),
         (lambda: file["AR"].response(800.0, AIR, GLASS, ONE, True), "'AR', layer 1: .*800 nm is outside its 400"),
         (lambda: file["MEASURED"].response(700.0, AIR, GLASS, ONE, True), "MEASURED': 700 nm is outside its 500"),
         (lambda: read_coating_file(SAMPLE, 0.0), "design_nm = 0"),

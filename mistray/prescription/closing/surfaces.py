@@ -255,7 +255,7 @@ class OpticalSurfaces:
         if name in self.coatings:
             return self.coatings[name]
         if ":" in row.coating:
-            return Coating(table=row.coating)
+            return Coating(table=row.coating, design_nm=self.lens.wavelength_nm, mirror=row.mirror)
         if row.coating in PRESETS:
             return Coating(preset=row.coating, name=row.coating)
         self.notes.append(f"coating '{row.coating}' of surface {row.number} is not given (coatings=): it {what}")
