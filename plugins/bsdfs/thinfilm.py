@@ -123,7 +123,7 @@ class ThinFilm(Interface):
             else:
                 self._own = coating
         of_zemax = recipe == "table" and not self._recipe.lower().endswith(".csv")
-        only_layers = ("first", *(() if of_zemax else ("opaque", "design_nm")), "n_shift", "k_shift")
+        only_layers = (*(() if of_zemax else ("first", "opaque", "design_nm")), "n_shift", "k_shift")
         unused = [key for key in only_layers if key in props and self._layers is None]
         if unused:
             raise MistrayError(f"{self.title}: {unused[0]} has no meaning without layers; remove it")

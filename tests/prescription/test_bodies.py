@@ -303,9 +303,9 @@ def test_the_detector_and_the_clear_radii():
     assert any("drawn clear radii" in note and note.endswith("surfaces 1") for note in built.notes)
 
 
-def test_coatings_of_a_zemax_file_in_waves_and_on_mirrors(tmp_path):
+def test_coatings_of_a_zemax_file(tmp_path):
     """
-    Waves are those of the primary wavelength, and mirrors turn their layers to the light.
+    Waves are those of the primary wavelength; mirrors and cemented faces turn their layers to the light.
 
     The thin silver of the mirrors is their substrate, under half a wave that absorbs.
     """
@@ -318,14 +318,16 @@ def test_coatings_of_a_zemax_file_in_waves_and_on_mirrors(tmp_path):
         Row(1, radius=-200.0, mirror=True, thickness=-70.0, stop=True, coating=f"{file}:MIRROR"),
         Row(2, radius=-80.0, mirror=True, thickness=60.0, coating=f"{file}:MIRROR"),
         Row(3, material="1.9044", thickness=4.0, coating=f"{file}:AR"),
-        Row(4, thickness=30.0),
-        Row(5, kind="image"),
+        Row(4, material="1.5", thickness=4.0, coating=f"{file}:MIRROR"),
+        Row(5, thickness=30.0),
+        Row(6, kind="image"),
     )
     scene = build(lens(*rows, wavelengths_nm=(800.0,), weights=(1.0,), aperture=40.0)).prescription.to_scene()
     coated = {shape.id(): shape.bsdf() for shape in scene.shapes()}
     found = [coated[name].coating.response(800.0, 1.0, 1.0, [1.0], side).R for name in ("S1", "S2") for side in (1, 0)]
     assert np.min(found) == pytest.approx(np.max(found), rel=1e-6)
     assert 0.7 < np.min(found) < 0.8
+    assert coated["S4"].coating.front_to_back(800.0, 1.9044, 1.5)[2].tolist() == [0, 1]
     assert np.max(coated["S3"].coating.response(800.0, 1.0, 1.9044, [1.0], True).R) < 1e-6
 
 
