@@ -328,6 +328,8 @@ def test_rotations_all_round(given: list[float], kept: list[float]) -> None:
     np.testing.assert_allclose([table.values[0, 0, 0] for table in found.tables], two_fold(np.array(kept)))
     assert all(table.azimuth_deg[-1] == 360 for table in found.tables)
     assert isinstance(reduced(given, lambda rho: np.full(len(rho), 0.1)), BsdfSamples)
+    mean = reduced(given, two_fold, "mean")
+    np.testing.assert_allclose(mean.tables[0].values, 0.1 + 0.05 * np.cos(2 * np.radians(kept)).mean(), rtol=1e-9)
 
 
 POLISH = Path(__file__).parents[1] / "data" / "psd_polish.csv"

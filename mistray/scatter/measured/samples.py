@@ -16,6 +16,7 @@ SYMMETRY_TOLERANCE = 1e-3  # of the largest value, between the two sides of the 
 FINE_DEG = 1.0  # longest step of the integral over the hemisphere, of two nodes
 ANISOTROPY = ("error", "mean", "keep")
 BEYOND = ("error", "hold", "zero")
+LARGEST_GAP = 1.5  # of the gap left open, in units of the largest step, for angles that cover a full turn
 # A direction below this cosine has no BSDF of its own: there f cos θs, which instruments measure, is 0/0 for f
 HORIZON = 1e-6
 
@@ -330,14 +331,14 @@ def one_rotation(title: str, rotation_deg: np.ndarray, values: np.ndarray, aniso
             )
         return np.asarray(values[0])
     gaps = np.diff(rotation_deg)
-    left = 360 - (rotation_deg[-1] - rotation_deg[0])
+    if not len(gaps):
+        return np.asarray(values[0])
     weight = np.zeros(len(rotation_deg))
     weight[:-1] += gaps
     weight[1:] += gaps
-    if len(gaps) and left <= 1.5 * float(np.max(gaps)):  # all round: the last one is a neighbour of the first
-        weight[[0, -1]] += left
-    elif not len(gaps):
-        weight[:] = 1.0
+    # All round, or half round a surface that half a turn does not change: the last one is a neighbour of the first
+    lefts = [turn - (rotation_deg[-1] - rotation_deg[0]) for turn in (360.0, 180.0)]
+    weight[[0, -1]] += next((left for left in lefts if 0 <= left <= LARGEST_GAP * float(np.max(gaps))), 0.0)
     return np.asarray(np.tensordot(weight / weight.sum(), values, axes=1))
 
 
