@@ -29,6 +29,7 @@ from mistray.coatings.files import coating_from_text, read_coating, write_table
 from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.materials import complex_index, nearest_known_nm, refractive_index, source
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface
+from mistray.prescription.by_text import coating_of
 
 SAMPLE = Path(__file__).parents[1] / "data" / "coating_sample.dat"
 ONE = np.array([1.0])
@@ -164,6 +165,12 @@ def test_names_of_coatings(tmp_path: Path) -> None:
     (tmp_path / "c.dat").write_text("COAT I.²\n", encoding="utf-8")
     assert coating_from_text(f"{tmp_path / 'c.dat'}:I.²") == Stack((), name="I.²")  # no transmittance: ² is no decimal
     assert read_coating(f"{SAMPLE.name}:ALUM", mirror=True, resolve=lambda path: str(SAMPLE.parent / path)).opaque
+
+
+def test_waves_of_a_coating_put_on_by_name() -> None:
+    """They are those of the light that the caller names, as of layers; a stated wavelength goes first."""
+    for text, nm in ((f"{SAMPLE}:AR", 600.0), (f"{SAMPLE}:AR design_nm=650", 650.0), (f"{SAMPLE}:SPLIT", 600.0)):
+        assert coating_of(text, design_nm=600.0).design_nm == nm
 
 
 @pytest.mark.parametrize(
