@@ -191,7 +191,8 @@ class CoatingFile(Mapping[str, CoatingModel]):
                             f"{where}: R{pol} = {shares[f'R_{pol}']:g}, T{pol} = {shares[f'T_{pol}']:g}; both must be "
                             "0 or greater and their sum must not exceed 1"
                         )
-                rows.append({"wavelength_nm": values[0] * 1e3, "angle_deg": angle} | shares | _phases(*phases))
+                nm = round(values[0] * 1e3, 6)
+                rows.append({"wavelength_nm": nm, "angle_deg": angle} | shares | _phases(*phases))
             else:
                 raise MistrayError(f"{where}: '{shown(words)}'; expected ANGL, then WAVE lines")
         if not rows:

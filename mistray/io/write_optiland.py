@@ -158,7 +158,7 @@ def _new_medium(lens: Sequential, material: str) -> Any:
 def _table(materials: Any, material: str) -> Any:
     def of(wavelength_um: Any, part: str) -> Any:
         lines, places = np.unique(wavelength_um, return_inverse=True)  # rays by the thousand have one wavelength
-        values = np.array([getattr(complex_index(material, 1e3 * float(um)), part) for um in lines])
+        values = np.array([getattr(complex_index(material, round(1e3 * float(um), 9)), part) for um in lines])
         return values[np.reshape(places, np.shape(wavelength_um))]
 
     base: Any = materials.BaseMaterial

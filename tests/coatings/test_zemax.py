@@ -51,6 +51,17 @@ def test_names(file) -> None:
     assert file["ar"] == file["AR"]
 
 
+def test_the_ends_of_tables_are_within(tmp_path: Path) -> None:
+    """0.6328 · 1000 is a little more than 632.8, and 0.6342 · 1000 a little less than 634.2."""
+    path = tmp_path / "COATING.DAT"
+    table = "TABLE T\nANGL 0\nWAVE 0.6328 .1 .1 .9 .9\nWAVE 0.6342 0 0 1 1\n"
+    path.write_text(f"MATE HENE\n0.6328 1.5 0\n0.6342 1.4 0\n{table}")
+    coating = read_coating_file(path)["T"]
+    for nm, n, r in ((632.8, 1.5, 0.1), (634.2, 1.4, 0.0)):
+        assert complex_index(f"{path}:HENE", nm) == n
+        assert coating.response(nm, AIR, GLASS, ONE, True).R[0, 0] == r
+
+
 def test_materials(tmp_path: Path) -> None:
     """By their strings: k changes its sign, tables are interpolated, one row holds everywhere."""
     assert complex_index(f"{SAMPLE}:AL", 550.0) == 0.958 + 6.69j
