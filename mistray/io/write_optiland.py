@@ -20,7 +20,8 @@ from mistray.prescription.sequential.table import Row, Sequential
 from mistray.ranges import FIELD_DEG
 
 _SAME_INDEX = 2e-6
-_EXPECTED = ("coatings without a name", "structure", "the stop is")  # notes about files, and about no loss
+# Notes about files, and about no loss
+_EXPECTED = ("coatings without a name", "structure", "the stop is", "waves in the coating file")
 _APERTURES = {"entrance_pupil_diameter": "EPD", "object_na": "objectNA"}
 
 
