@@ -203,7 +203,9 @@ def _coating(
     else:
         answer = coating_from_text(text, coating.design_nm)
     if isinstance(answer, Stack):
-        answer = replace(answer, first=coating.first)
+        shifts = [given or [0.0] * len(answer.layers) for given in (coating.n_shift, coating.k_shift)]
+        layers = [replace(layer, n_shift=n, k_shift=k) for layer, n, k in zip(answer.layers, *shifts, strict=True)]
+        answer = replace(answer, layers=tuple(layers), first=coating.first)
     found = answer.response(nm, front, behind, np.ones(1), True)
     r, t = float(found.R.mean()), float(found.T.mean())
     losses.append(f"{what}: coating '{coating.name or text}' becomes R = {r:.4g}, T = {t:.4g}, as at {nm:g} nm")

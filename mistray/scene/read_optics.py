@@ -161,6 +161,9 @@ class _Reader:
         """
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table", "first") if key in values}
         recipe |= {"mirror": True} if is_true(values.get("opaque", "")) else {}
+        for key in {"n_shift", "k_shift"} & values.keys():
+            words = values[key].replace(",", " ").split()
+            recipe[key] = tuple(self._number(where, {key: word}, key) for word in words)
         return recipe | {key: self._number(where, values, key) for key in ("R", "T", "design_nm") if key in values}
 
     def _form(self, element: Element, label: str) -> dict[str, Any]:
