@@ -28,6 +28,7 @@ from mistray.scatter.measured.speos_bsdf import read_speos_bsdf
 from mistray.scatter.measured.tabulated import Tabulated
 from mistray.scatter.measured.zemax_abg import abg_from_catalogue, read_abg_data
 from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf, write_zemax_bsdf
+from mistray.scatter.phong import Phong
 from mistray.scatter.scan import IncidentLight, scan, table
 from mistray.scatter.total import lobe_total
 
@@ -330,6 +331,29 @@ def test_rotations_all_round(given: list[float], kept: list[float]) -> None:
     assert isinstance(reduced(given, lambda rho: np.full(len(rho), 0.1)), BsdfSamples)
     mean = reduced(given, two_fold, "mean")
     np.testing.assert_allclose(mean.tables[0].values, 0.1 + 0.05 * np.cos(2 * np.radians(kept)).mean(), rtol=1e-9)
+
+
+DARK_AT_THE_HORIZON = KCorrelation(
+    2.0, 20.0, 2.0, band_limited=True, theory="rayleigh_rice_vector", substrate=1 + 6j, event="reflection"
+)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize(
+    ("model", "angles"),
+    [
+        (DARK_AT_THE_HORIZON, [0.0, 20.0, 40.0, 60.0, 80.0]),
+        (KCorrelation(2.0, 10.0, 2.5, event="reflection"), [0.0, 89.0]),
+        (Phong(0.7, 3.0), [0.0, 60.0]),
+        (Phong(1.0, 20.0), [0.0]),
+    ],
+    ids=["dark at the horizon", "grazing", "cosine", "one incidence"],
+)
+def test_a_table_scatters_as_its_model(model: Any, angles: list[float], frame: str) -> None:
+    """Also if its values fall to 1e-17 at the horizon, or by a thousand from one incidence to another."""
+    expected = [found.scattered for found in scan(model, angles)]
+    tabulated = Tabulated(table(model, angles, frame), event="reflection", relative_to="specular")
+    assert [found.scattered for found in scan(tabulated, angles)] == pytest.approx(expected, rel=0.04)
 
 
 POLISH = Path(__file__).parents[1] / "data" / "psd_polish.csv"

@@ -31,6 +31,7 @@ TURNED_INCIDENCE_NODES, TURNED_R_NODES, TURNED_PSI_NODES, MOST_ROTATIONS = 33, 1
 COARSE = 4  # every fourth node is compared to choose the frame of an anisotropic table
 POLE = 1e-6  # sine of a direction's angle with the normal below which it counts as the normal
 BINS_PER_OCTAVE = 4  # bins of the carrier
+STEEPEST = 24.0  # fall of the carrier, a power of r; a bin may hold the horizon alone, where a table may have 1e-17
 SMALLEST_R = 1e-6
 ROUNDING = 1e-3  # of the total: tables are printed with four digits
 
@@ -40,8 +41,8 @@ class Tabulated(Placement):
     """
     BSDF interpolated in a table, independent of the wavelength.
 
-    The table becomes a profile over r = |β - β0|, the geometric mean of the data, times a smooth ratio over the
-    specular direction, r and the azimuth about it. Between two angles of incidence the scatter follows the specular
+    The table becomes a profile over r = |β - β0|, the mean of the data, times a smooth ratio over the specular
+    direction, r and the azimuth about it. Between two angles of incidence the scatter follows the specular
     direction, so that a peak moves and does not double. Beyond the first and the last angle it keeps its form about the
     specular direction. Between two rotations of the sample it turns with the sample or stays with the plane of
     incidence, whichever changes it less. If the file states the total scatter, the model has this total.
@@ -182,7 +183,12 @@ class Tabulated(Placement):
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the radial profile, (k,): ln r, and ln f, f in 1/sr, mean over azimuth, incidence and rotation."""
+        """
+        Nodes of the radial profile, (k,): ln r, and ln f, f in 1/sr, mean over azimuth, incidence and rotation.
+
+        Arithmetic means, and a limit to the slope, keep the ratio of the table to the profile small, so that it can be
+        interpolated where the table falls by many powers of ten.
+        """
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
         one_of_any = bins[np.any(used, axis=0)]
@@ -194,10 +200,11 @@ class Tabulated(Placement):
                 if not np.any(here):
                     continue
                 count = np.bincount(number[here] - first)
-                sums = (np.bincount(number[here] - first, np.log(column[here])) for column in (r, f))
+                sums = (np.bincount(number[here] - first, column) for column in (np.log(r[here]), f[here]))
                 mean_r, mean_f = (total[count > 0] / count[count > 0] for total in sums)
-                curves.append(np.interp(centres, mean_r, mean_f))
-        return centres, np.mean(curves, axis=0)
+                curves.append(np.interp(centres, mean_r, np.log(mean_f)))
+        log_f = np.log(np.mean(np.exp(curves), axis=0)) + STEEPEST * centres
+        return centres, np.maximum.accumulate(log_f) - STEEPEST * centres
 
     def _carrier(self, r: np.ndarray) -> np.ndarray:
         """Return the radial profile, 1/sr, at distances r: a power law between nodes, constant outside them."""
@@ -332,7 +339,7 @@ class Tabulated(Placement):
 
     def _misfit(self, ratio: RatioTable) -> float:
         """
-        Return the mean relative error of the interpolating model at the table's nodes above the horizon.
+        Return the mean relative error, each 1 at most, of the interpolating model at nodes above the horizon.
 
         Nodes without scatter are left out, and so is the pole for anisotropic samples.
         """
@@ -344,7 +351,7 @@ class Tabulated(Placement):
                 here = counts[index] & (grid[index] > 0)
                 out = directions[index][here]
                 found = bsdf(lobes, "reflection", float(cosine), out, 1.0, 1.0, 1.0, float(rotation))
-                departures.append(np.abs(found / grid[index][here] - 1))
+                departures.append(np.minimum(np.abs(found / grid[index][here] - 1), 1.0))
         return float(np.mean(np.concatenate(departures)))
 
 
