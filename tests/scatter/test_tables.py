@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -354,6 +355,17 @@ def test_a_table_scatters_as_its_model(model: Any, angles: list[float], frame: s
     expected = [found.scattered for found in scan(model, angles)]
     tabulated = Tabulated(table(model, angles, frame), event="reflection", relative_to="specular")
     assert [found.scattered for found in scan(tabulated, angles)] == pytest.approx(expected, rel=0.04)
+
+
+def test_a_peak_on_few_nodes_decides_the_frame_of_the_ratio() -> None:
+    """Nodes about the normal have steps of 7° there, too wide for this peak, though they fit the rest better."""
+    angles, azimuth, polar = np.array([0.0, 30.0, 60.0]), np.linspace(0, 180, 19), np.linspace(0, 85, 171)
+    shape = (len(angles), len(azimuth), len(polar))
+    empty = BsdfSamples("peak", "normal", angles, azimuth, polar, np.zeros(shape), "reflection")
+    x, y, _ = np.moveaxis(empty.directions(), -1, 0)
+    r2 = (x - np.sin(np.radians(angles))[:, None, None]) ** 2 + y**2
+    (found,) = scan(Tabulated(replace(empty, values=1e-3 / (1e-4 + r2)), beyond="zero"), [0.0])
+    assert found.scattered == pytest.approx(np.pi * 1e-3 * np.log1p(np.sin(np.radians(85)) ** 2 / 1e-4), rel=0.03)
 
 
 POLISH = Path(__file__).parents[1] / "data" / "psd_polish.csv"

@@ -14,7 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.param import Param
 from mistray.ranges import FLAG, TEXT, Words
-from mistray.scatter.evaluate import bsdf
+from mistray.scatter.evaluate import TINY, bsdf
 from mistray.scatter.lobe import RELATIVE_TO, Lobe, Placement, RatioTable
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
 from mistray.scatter.measured.rotations import RotatedSamples
@@ -341,18 +341,24 @@ class Tabulated(Placement):
         """
         Return the mean relative error, each 1 at most, of the interpolating model at nodes above the horizon.
 
-        Nodes without scatter are left out, and so is the pole for anisotropic samples.
+        To it is added the error weighted by the scattered flux, which a narrow peak may hold on few nodes. Nodes
+        without scatter are left out, and so is the pole for anisotropic samples.
         """
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
-        directions, departures = self._first.directions(), []
+        directions, departures = self._first.directions(), list[float]()
+        polar = np.radians(self._first.polar_deg)
+        flux = directions[..., 2] * np.sin(polar) * (np.gradient(polar) if len(polar) > 1 else 1.0)
         counts = self._above & (self._first.polar_deg > 0) if self.anisotropic else self._above
         for grid, rotation in zip(self._grid, np.radians(self.samples.rotation_deg), strict=True):
             for index, cosine in enumerate(np.cos(np.radians(self._first.specular_deg))):
                 here = counts[index] & (grid[index] > 0)
                 out = directions[index][here]
                 found = bsdf(lobes, "reflection", float(cosine), out, 1.0, 1.0, 1.0, float(rotation))
-                departures.append(np.minimum(np.abs(found / grid[index][here] - 1), 1.0))
-        return float(np.mean(np.concatenate(departures)))
+                given, weight = grid[index][here], flux[index][here]
+                error = np.abs(found - given)
+                departures.append(float(np.mean(np.minimum(error / given, 1.0))))
+                departures[-1] += float(weight @ error / max(weight @ given, TINY))
+        return float(np.mean(departures))
 
 
 def _all_round(rotations: np.ndarray, planes: np.ndarray) -> np.ndarray:
