@@ -447,6 +447,9 @@ def test_a_lambertian_of_any_scale(tmp_path, of_bsdf):
     # The trapezoids of the integral, 0.5° wide, are exact to 1e-5
     assert samples.values[..., inside] == pytest.approx(0.3 / math.pi, rel=1e-4)
     assert Tabulated.read(file).samples == samples
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("23\nMeasurement description", "26\n Measurement description  "), encoding="utf-8")
+    assert read_speos_bsdf(file) == samples, "spaces count"
 
 
 def test_incidences_and_azimuths_of_speos(tmp_path):

@@ -47,6 +47,11 @@ class _Lines:
         """File name and number of the line read last, for error messages."""
         return f"{self.title}, line {self._next}"
 
+    @property
+    def length(self) -> int:
+        """Number of characters of the line read last, spaces at its ends included."""
+        return len(self._lines[self._next - 1][1])
+
     def text(self) -> str:
         """Return the next line, without spaces at its ends; raise `MistrayError` at the end of the file."""
         if self._next >= len(self._lines):
@@ -96,7 +101,8 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     lines.text()
     left = lines.counts(1)[0]
     while left > 0:  # the description, which may have several lines
-        left -= len(lines.text()) + 1
+        lines.text()
+        left -= lines.length + 1
     lines.values(3)
     if lines.counts(2) != [1, 0]:
         raise MistrayError(f"{lines.where}: it holds transmission; only files with reflection alone are read")
