@@ -35,10 +35,12 @@ from mistray.coatings.simple import Ideal
 from mistray.coatings.stack import Layer, Stack, waves
 from mistray.coatings.table import CoatingTable
 from mistray.errors import MistrayError, UnknownKeyError, errors_of
+from mistray.materials import complex_index, nearest_known_nm
 from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate, shown
 
-# In OpticStudio the last layer of a mirror's coating is its substrate, however thin; this much metal is opaque
-SUBSTRATE_NM = 1000.0
+# In OpticStudio the last layer of a mirror's coating is its substrate, however thin. So much of a material of this k is
+# opaque to 20 µm; the k of a clear substrate is raised to it
+SUBSTRATE_NM, SUBSTRATE_K = 1e9, 1e-4
 MOST_LAYERS = 10_000  # layers of a stack with its groups repeated
 BUILT_IN = ("AIR", "VACUUM")
 
@@ -235,7 +237,10 @@ class CoatingFile(Mapping[str, CoatingModel]):
                 "same index"
             )
         if mirror and layers:
-            layers[-1] = Layer(layers[-1].material, SUBSTRATE_NM)
+            material = layers[-1].material
+            known = nearest_known_nm(material, self.design_nm, with_k=True)
+            clear = complex_index(material, known).imag < SUBSTRATE_K
+            layers[-1] = Layer(f"{material} k={SUBSTRATE_K:g}" if clear else material, SUBSTRATE_NM)
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:

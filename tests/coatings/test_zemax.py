@@ -113,6 +113,16 @@ class TestLayers:
         as_window = file["ALUM"].response(550.0, AIR, AIR, ONE, True)
         assert as_window.R.max() < 0.05, "0.1 nm of aluminium is no mirror"
 
+    def test_a_clear_substrate_of_a_mirror_has_no_rear(self, tmp_path: Path) -> None:
+        """4 % of n = 1.5, whatever the wavelength and the thickness in the file; under a quarter wave as on a lens."""
+        path = tmp_path / "COATING.DAT"
+        path.write_text("MATE G\n0.5 1.5 0\n12 1.5 0\nMATE H\n0.5 2.3 0\n12 2.3 0\nCOAT G\nG 1\nCOAT H\nH 0.25\nG 1\n")
+        file, layer = read_coating_file(path), Stack((Layer("2.3", 0.25 * 550 / 2.3),))
+        for nm in (500.0, 633.0, 10600.0):
+            np.testing.assert_allclose(file.mirror("G").response(nm, AIR, AIR, ONE, True).R, 0.04, atol=1e-6)
+            on_lens = layer.response(nm, AIR, 1.5 + 0j, ONE, True).R
+            np.testing.assert_allclose(file.mirror("H").response(nm, AIR, AIR, ONE, False).R, on_lens, atol=1e-4)
+
     def test_mirrors_without_layers_transmit_nothing(self, file) -> None:
         assert file.mirror("SPLIT") == Ideal(0.5, 0.0, "SPLIT")
         table = file.mirror("MEASURED")
