@@ -39,7 +39,8 @@ def read_coating(
     design_nm : float
         Wavelength for thicknesses in waves in a Zemax file, nm.
     mirror : bool
-        Whether the last layer of a Zemax coating is the substrate, as for mirrors there; without effect on a CSV table.
+        Whether a Zemax coating is that of a mirror there: opaque, with the last layer as its substrate; without effect
+        on a CSV table.
     resolve : callable
         Function that returns the path to open for the path in `spec`.
 

@@ -18,6 +18,7 @@ from mistray.ranges import shown
 # In a medium of larger k, a metal, light falls to 1/e within a wavelength. It is the substrate of the coating, whatever
 # its n, and light that enters it is recorded as absorbed at the surface
 METAL_K = 1 / (4 * math.pi)
+CRITICAL_ROUNDING = 1e-12  # of the squared sine of refraction, so that light at the critical angle is refracted
 COSINE_ROUNDING = 1e-6  # of a product of two unit vectors, of float32, too
 
 
@@ -157,10 +158,10 @@ def cosines(given: npt.ArrayLike) -> np.ndarray:
 
 def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:
     """
-    Return a mask of cosines of incidence, (m,), at or beyond the critical angle for light from one side.
+    Return a mask of cosines of incidence, (m,), beyond the critical angle for light from one side.
 
     A metal has no critical angle, however small its n.
     """
     n_1, n_2 = (n_front, n_back) if from_front else (n_back, n_front)
-    beyond = (n_1.real / n_2.real) ** 2 * (1 - np.square(cos_incident)) >= 1
+    beyond = (n_1.real / n_2.real) ** 2 * (1 - np.square(cos_incident)) > 1 + CRITICAL_ROUNDING
     return np.asarray(beyond & (n_2.imag <= METAL_K))

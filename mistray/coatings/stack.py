@@ -64,8 +64,9 @@ class Stack:
         Layers in the coating's own order, which `first` relates to the surface; may be empty.
     first : {"outside", "front", "back"}
         Position of the first layer. "outside", the convention of coating houses, is the side of the medium of lower
-        index. A metal counts as the substrate; with equal indices the front is outside. "front" and "back" are those of
-        the surface.
+        index. A metal counts as the substrate. With equal indices the front is outside, but for light from the back the
+        back if the coating is `opaque`: a mirror turns its layers to the light. "front" and "back" are those of the
+        surface.
     name : str
         Name for messages and titles.
     opaque : bool
@@ -128,11 +129,19 @@ class Stack:
             result.append(index)
         return tuple(result)
 
+    def side_of_first(self, n_front: complex, n_back: complex, from_front: bool) -> str:
+        """Return the side of the first layer, "front" or "back", for light from one side; see `first`."""
+        if self.first != "outside":
+            return self.first
+        if self.opaque and not from_front and outside_first(n_back, n_front):
+            return "back"
+        return "front" if outside_first(n_front, n_back) else "back"
+
     def front_to_back(
-        self, wavelength_nm: float, n_front: complex, n_back: complex
+        self, wavelength_nm: float, n_front: complex, n_back: complex, from_front: bool = True
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        Return indices and thicknesses of the layers in the order in which light from the front meets them.
+        Return indices and thicknesses of the layers in the order from the front to the back.
 
         Parameters
         ----------
@@ -140,6 +149,8 @@ class Stack:
             Vacuum wavelength, nm.
         n_front, n_back : complex
             Complex indices n + ik of the media, which determine the side that is "outside".
+        from_front : bool
+            Whether the light comes from the front, which counts for an opaque coating between equal indices.
 
         Returns
         -------
@@ -151,7 +162,7 @@ class Stack:
             Index of each layer in the coating's own order, from 0.
         """
         order = np.arange(len(self.layers))
-        if self.first == "back" or (self.first == "outside" and not outside_first(n_front, n_back)):
+        if self.side_of_first(n_front, n_back, from_front) == "back":
             order = order[::-1]
         indices = np.array(self.indices(wavelength_nm), dtype=np.complex128)
         thickness = np.array([layer.thickness_nm for layer in self.layers], dtype=np.float64)
@@ -161,7 +172,7 @@ class Stack:
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: npt.ArrayLike, from_front: bool
     ) -> Response:
         """Return R, T and phases for light from one side, see `CoatingModel.response`; T = 0 if `opaque`."""
-        indices, thickness, _ = self.front_to_back(wavelength_nm, n_front, n_back)
+        indices, thickness, _ = self.front_to_back(wavelength_nm, n_front, n_back, from_front)
         full = layered_response(indices, thickness, wavelength_nm, n_front, n_back, cos_incident, from_front)
         return Response(full.R, 0 * full.T, full.phase_r, full.phase_t) if self.opaque else full
 

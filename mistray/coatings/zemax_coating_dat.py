@@ -25,7 +25,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +35,12 @@ from mistray.coatings.simple import Ideal
 from mistray.coatings.stack import Layer, Stack, waves
 from mistray.coatings.table import CoatingTable
 from mistray.errors import MistrayError, UnknownKeyError, errors_of
+from mistray.materials import complex_index, nearest_known_nm
 from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate, shown
 
-# In OpticStudio the last layer of a mirror's coating is its substrate, however thin; this much metal is opaque
-SUBSTRATE_NM = 1000.0
+# In OpticStudio the last layer of a mirror's coating is its substrate, however thin. So much of a material of this k is
+# opaque to 20 µm; the k of a clear substrate is raised to it
+SUBSTRATE_NM, SUBSTRATE_K = 1e9, 1e-4
 MOST_LAYERS = 10_000  # layers of a stack with its groups repeated
 BUILT_IN = ("AIR", "VACUUM")
 
@@ -107,20 +109,21 @@ class CoatingFile(Mapping[str, CoatingModel]):
     def __len__(self) -> int:
         return len(self._sections)
 
-    def mirror(self, name: str) -> Stack:
+    def mirror(self, name: str) -> CoatingModel:
         """
-        Return the coating of a mirror, whose last layer is the substrate; it is opaque.
+        Return the coating of a mirror, which is opaque: the last layer is the substrate, and other coatings have T = 0.
 
         Raises
         ------
         MistrayError
-            If a look-up fails, or the coating is not described by layers.
+            If a look-up fails, as of an item.
         """
-        section = self._find(name)
-        stack = self._make(section, mirror=True)
-        if not isinstance(stack, Stack):
-            raise MistrayError(f"{self._where(section)}: {section.name} has no layers; give its R and T = 0 instead")
-        return stack
+        found = self._make(self._find(name), mirror=True)
+        if isinstance(found, Ideal):
+            return replace(found, T=0.0)
+        if isinstance(found, CoatingTable):
+            return replace(found, shares=found.shares * [[1.0], [1.0], [0.0]])
+        return found
 
     def _find(self, name: str) -> _Section:
         section = self._sections.get(name.upper())
@@ -190,7 +193,8 @@ class CoatingFile(Mapping[str, CoatingModel]):
                             f"{where}: R{pol} = {shares[f'R_{pol}']:g}, T{pol} = {shares[f'T_{pol}']:g}; both must be "
                             "0 or greater and their sum must not exceed 1"
                         )
-                rows.append({"wavelength_nm": values[0] * 1e3, "angle_deg": angle} | shares | _phases(*phases))
+                nm = round(values[0] * 1e3, 6)
+                rows.append({"wavelength_nm": nm, "angle_deg": angle} | shares | _phases(*phases))
             else:
                 raise MistrayError(f"{where}: '{shown(words)}'; expected ANGL, then WAVE lines")
         if not rows:
@@ -233,7 +237,10 @@ class CoatingFile(Mapping[str, CoatingModel]):
                 "same index"
             )
         if mirror and layers:
-            layers[-1] = Layer(layers[-1].material, SUBSTRATE_NM)
+            material = layers[-1].material
+            known = nearest_known_nm(material, self.design_nm, with_k=True)
+            clear = complex_index(material, known).imag < SUBSTRATE_K
+            layers[-1] = Layer(f"{material} k={SUBSTRATE_K:g}" if clear else material, SUBSTRATE_NM)
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:

@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import LAYER_PARAMETERS, METAL_K
-from mistray.coatings.stack import Stack, outside_first
+from mistray.coatings.stack import Stack
 from mistray.physics.thinfilm import reflectance_transmittance
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import (
@@ -180,8 +180,8 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
     refraction = last + 1
     n_front, n_back = optics.complex_indices[surface]
     opaque = bool(optics.host_words[surface] & OPAQUE)
-    indices, thickness, order = optics.bsdfs[surface].coating.front_to_back(optics.wavelength_nm, n_front, n_back)
-    layers = len(indices)
+    coating = optics.bsdfs[surface].coating
+    layers = len(coating.layers)
     result = np.zeros((len(parts) * layers, len(used), 3))
     front, back, dense = _cosines(n_front, n_back, opaque, last, total_last)
     total = used >= refraction
@@ -191,6 +191,7 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
         rows = ~total | (outer[0].real > outer[1].real)
         if not rows.any() or outer[0].imag > METAL_K:  # nothing travels in a metal
             continue
+        indices, thickness, order = coating.front_to_back(optics.wavelength_nm, n_front, n_back, is_front)
         forward = slice(None, None, 1 if is_front else -1)
         slot = np.concatenate([order[forward] + block * layers for block in range(len(parts))])
 
@@ -297,9 +298,10 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     """
     sides = optics.complex_indices[surface]
     coating = optics.bsdfs[surface].coating
-    if isinstance(coating, Stack) and coating.first == "outside":  # the order of the layers is held as well
-        coating = replace(coating, first="front" if outside_first(*sides) else "back")
-    setting = coating, optics.wavelength_nm
+    held = [coating]
+    if isinstance(coating, Stack):  # the order of the layers, which may differ for light from the back, is held as well
+        firsts = dict.fromkeys(coating.side_of_first(*sides, from_front) for from_front in (True, False))
+        held = [replace(coating, first=first) for first in firsts]
     opaque = bool(optics.host_words[surface] & OPAQUE)
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
     contrast = abs(sides[0].real - sides[1].real)
@@ -310,9 +312,12 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     def rows(change: float) -> np.ndarray:
         front, back = (n + change * (k == side) for k, n in enumerate(sides))
         at_front, at_back, dense = _cosines(front, back, same, last, total_last)
-        refraction = refraction_rows(*setting, (front, back), opaque, False, at_front, at_back)[:, :, 0]
+        nm, both = optics.wavelength_nm, (front, back)
+        own = [refraction_rows(one, nm, both, opaque, False, at_front, at_back)[:, :, 0] for one in held]
+        refraction = own[0]
+        refraction[:, REFLECTION_BACK] = own[-1][:, REFLECTION_BACK]
         # Between equal indices there is no critical angle
-        total = np.zeros((total_last + 1, 3)) if same else total_rows(*setting, (front, back), False, dense)[:, :, 0]
+        total = np.zeros((total_last + 1, 3)) if same else total_rows(held[0], nm, both, False, dense)[:, :, 0]
         return np.concatenate([refraction, total])
 
     return (8 * (rows(step) - rows(-step)) - (rows(2 * step) - rows(-2 * step))) / (12 * step)

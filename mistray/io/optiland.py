@@ -68,7 +68,7 @@ def from_optiland(optic: Any) -> Sequential:
         raise MistrayError(f"from_optiland was given {type(optic).__name__}; give an Optic of optiland 0.6 or later")
     name = str(optic.name or "optiland lens")
     surfaces = list(optic.surfaces)
-    wavelengths = tuple(1e3 * _float(w.value) * _um(w.unit) for w in optic.wavelengths.wavelengths)
+    wavelengths = tuple(round(1e3 * _float(w.value) * _um(w.unit), 9) for w in optic.wavelengths.wavelengths)
     primary = next((k for k, w in enumerate(optic.wavelengths.wavelengths) if w.is_primary), 0)
     weights = tuple(float(w.weight) for w in optic.wavelengths.wavelengths)
     if len(surfaces) < 3 or not wavelengths or optic.aperture is None:

@@ -120,6 +120,14 @@ class _Walk:
             wavelengths, weights = source.wavelength_nm, source.weights or (1.0,) * len(source.wavelength_nm)
         elif source is not None:
             wavelengths, weights = (tuple(map(float, v)) for v in (source.light.wavelengths_nm, source.light.weights))
+        # Waves in a coating file are those of the primary wavelength
+        waves = {c.design_nm for s in p.surfaces if (c := s.coating) is not None and ":" in (c.table or "")}
+        primary = next((k for k, nm in enumerate(wavelengths) if nm in waves), len(wavelengths) // 2)
+        if waves - {wavelengths[primary]}:
+            told = ", ".join(f"{nm:g}" for nm in sorted(waves))
+            self.notes.append(
+                f"waves in the coating file are of {told} nm here, and of {wavelengths[primary]:g} nm there"
+            )
         lens = Sequential(
             name=p.name,
             rows=tuple(self.rows),
@@ -128,7 +136,7 @@ class _Walk:
             fields=tuple(fields),
             wavelengths_nm=wavelengths,
             weights=weights,
-            primary=len(wavelengths) // 2,
+            primary=primary,
         )
         if not isinstance(source, ObjectPoint):
             return lens

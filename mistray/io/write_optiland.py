@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.coatings import Stack, coating_from_text
+from mistray.coatings import Stack, coating_from_text, read_coating
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.io.to_sequential import to_sequential
 from mistray.materials import complex_index, refractive_index
@@ -20,7 +20,8 @@ from mistray.prescription.sequential.table import Row, Sequential
 from mistray.ranges import FIELD_DEG
 
 _SAME_INDEX = 2e-6
-_EXPECTED = ("coatings without a name", "structure", "the stop is")  # notes about files, and about no loss
+# Notes about files, and about no loss
+_EXPECTED = ("coatings without a name", "structure", "the stop is", "waves in the coating file")
 _APERTURES = {"entrance_pupil_diameter": "EPD", "object_na": "objectNA"}
 
 
@@ -158,7 +159,7 @@ def _new_medium(lens: Sequential, material: str) -> Any:
 def _table(materials: Any, material: str) -> Any:
     def of(wavelength_um: Any, part: str) -> Any:
         lines, places = np.unique(wavelength_um, return_inverse=True)  # rays by the thousand have one wavelength
-        values = np.array([getattr(complex_index(material, 1e3 * float(um)), part) for um in lines])
+        values = np.array([getattr(complex_index(material, round(1e3 * float(um), 9)), part) for um in lines])
         return values[np.reshape(places, np.shape(wavelength_um))]
 
     base: Any = materials.BaseMaterial
@@ -197,9 +198,14 @@ def _coating(
     nm = lens.wavelengths_nm[lens.primary]
     front, behind = (complex_index(side, nm) for side in sides)
     text = coating.preset or coating.layers or coating.table or ""
-    answer = coating_from_text(text, coating.design_nm)
+    if coating.table is not None:
+        answer = read_coating(text, coating.design_nm, coating.mirror)
+    else:
+        answer = coating_from_text(text, coating.design_nm)
     if isinstance(answer, Stack):
-        answer = replace(answer, first=coating.first)
+        shifts = [given or [0.0] * len(answer.layers) for given in (coating.n_shift, coating.k_shift)]
+        layers = [replace(layer, n_shift=n, k_shift=k) for layer, n, k in zip(answer.layers, *shifts, strict=True)]
+        answer = replace(answer, layers=tuple(layers), first=coating.first)
     found = answer.response(nm, front, behind, np.ones(1), True)
     r, t = float(found.R.mean()), float(found.T.mean())
     losses.append(f"{what}: coating '{coating.name or text}' becomes R = {r:.4g}, T = {t:.4g}, as at {nm:g} nm")

@@ -76,9 +76,10 @@ def _read_mate(path: str, stamp: int) -> dict[str, Table]:
                     f"{where}: wavelength {wavelength:g} µm, n = {n:g}, k = {k:g}; wavelength and n must be greater "
                     "than 0, k 0 or negative (a material that absorbs has k < 0 in these files)"
                 )
-            if current and wavelength * 1e3 <= current[-1][0]:
+            nm = round(wavelength * 1e3, 6)
+            if current and nm <= current[-1][0]:
                 raise MistrayError(f"{where}: wavelength {wavelength:g} µm does not follow the one before; sort them")
-            current.append((wavelength * 1e3, n, -k))
+            current.append((nm, n, -k))
     for name, rows in materials.items():
         if not rows:
             raise MistrayError(

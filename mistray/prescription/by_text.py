@@ -18,7 +18,7 @@ from mistray.scatter.kinds import KINDS
 
 BARE, CLEAN = "bare", "none"
 SHARES = ("R", "T")
-IN_WAVES = re.compile(r"\dw\s*(,|$)")  # of layers, whose thickness in waves ends so
+IN_WAVES = re.compile(r"\dw\s*(,|$)|\.dat:", re.IGNORECASE)  # thicknesses in waves, and a file that may have some
 OF_LAYERS = ("design_nm", "first")  # words that may follow layers, a preset or a file
 
 
@@ -37,7 +37,8 @@ def coating_of(
     known : mapping of str to Coating
         Further coatings by name, such as those of a scene.
     design_nm : float
-        Wavelength that thicknesses in waves (``0.5w``) refer to, nm, if the text gives none.
+        Wavelength that thicknesses in waves (``0.5w``, and those of a COATING.DAT) refer to, nm, if the text gives
+        none.
 
     Returns
     -------
@@ -68,7 +69,7 @@ def coating_of(
     own: dict[str, Any] = dict(more)
     if "design_nm" in more:
         own["design_nm"] = as_number(more["design_nm"], "design_nm", owner)
-    elif recipe not in PRESETS and IN_WAVES.search(recipe):
+    elif recipe not in PRESETS and IN_WAVES.search(recipe) and design_nm != Coating.design_nm:
         own["design_nm"] = design_nm
     try:
         design_nm = own.get("design_nm", Coating.design_nm)

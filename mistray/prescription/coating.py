@@ -10,7 +10,7 @@ from mistray.coatings.simple import check_shares
 from mistray.coatings.stack import SIDES, moved_layers
 from mistray.errors import MistrayError
 from mistray.ids import check_written_id
-from mistray.ranges import INDEX_SHIFT, WAVELENGTH_NM, ByName, Each, OfType, Words, check_fields
+from mistray.ranges import FLAG, INDEX_SHIFT, WAVELENGTH_NM, ByName, Each, OfType, Words, check_fields
 
 INDEX_SHIFTS = Each(INDEX_SHIFT, least=0)  # of the layers
 
@@ -42,6 +42,9 @@ class Coating:
         Wavelength that thicknesses in waves refer to, nm.
     n_shift, k_shift : tuple of float
         Shifts added to n and k of each layer; empty means zeros.
+    mirror : bool
+        Whether layers are those of a mirror: nothing gets through, and the last layer of a Zemax coating is the
+        substrate.
     name : str or None
         Surfaces whose coatings have the same name share one object in the scene, with one set of parameters; ``None``:
         each surface has its own.
@@ -69,6 +72,7 @@ class Coating:
     design_nm: float = WAVELENGTH_NM.field(550.0)
     n_shift: tuple[float, ...] = INDEX_SHIFTS.field(())
     k_shift: tuple[float, ...] = INDEX_SHIFTS.field(())
+    mirror: bool = FLAG.field(False)
     name: str | None = None
 
     def __post_init__(self) -> None:
@@ -90,7 +94,7 @@ class Coating:
             check_name(self.name)
         check_fields(self, what)
         defaults = Coating.__dataclass_fields__
-        for key in ("first", "design_nm", "n_shift", "k_shift"):
+        for key in ("first", "design_nm", "n_shift", "k_shift", "mirror"):
             if getattr(self, key) != defaults[key].default and not self.layered:
                 raise MistrayError(f"{what}: {key} has no meaning beside {given[0]}, which has no layers; remove it")
 
@@ -102,7 +106,9 @@ class Coating:
 
     @property
     def opaque(self) -> bool:
-        """True if the coating transmits no light: R without T, or an opaque preset. False for layers and files."""
+        """True if the coating transmits no light: of a `mirror`, R without T, or an opaque preset; else False."""
+        if self.mirror:
+            return True
         if self.preset is not None:
             return preset(self.preset).opaque
         return self.R is not None and not self.T

@@ -89,7 +89,8 @@ def _finish(coating: Coating | None, scatter: Iterable[Scatter]) -> tuple[dict[s
 
 
 def _thinfilm(coating: Coating) -> _Node:
-    return _Node("bsdf", "thinfilm", coating.name, _stated(coating, *_RECIPE))
+    opaque: dict[str, Value] = {"opaque": True} if coating.mirror else {}
+    return _Node("bsdf", "thinfilm", coating.name, _stated(coating, *_RECIPE) | opaque)
 
 
 def _scatter(model: Scatter) -> _Node:

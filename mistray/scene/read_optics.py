@@ -150,7 +150,7 @@ class _Reader:
             if film is not None and film.values.get("type") == "thinfilm":
                 values = self.file.values(film)
                 coating = Coating(**self._recipe("a thinfilm", values), name=film.values.get("id"))
-                return coating, coating.opaque or is_true(values.get("opaque", ""))
+                return coating, coating.opaque
         return None, False
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
@@ -159,8 +159,12 @@ class _Reader:
 
         R and T are fractions of the incident light. A value of them that is no number raises `MistrayError`.
         """
-        recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
-        return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
+        recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table", "first") if key in values}
+        recipe |= {"mirror": True} if is_true(values.get("opaque", "")) else {}
+        for key in {"n_shift", "k_shift"} & values.keys():
+            words = values[key].replace(",", " ").split()
+            recipe[key] = tuple(self._number(where, {key: word}, key) for word in words)
+        return recipe | {key: self._number(where, values, key) for key in ("R", "T", "design_nm") if key in values}
 
     def _form(self, element: Element, label: str) -> dict[str, Any]:
         """

@@ -51,8 +51,8 @@ class SharedCoating:
 
     def as_shared(self, name: str) -> Coating:
         """Return the coating under a name, with its layers as the string that scene files state."""
-        layers = layer_text(self.stack.layers)
-        return Coating(layers=layers, first=self.stack.first, design_nm=self.design_nm, name=name)
+        first, design_nm, layers = self.stack.first, self.design_nm, layer_text(self.stack.layers)
+        return Coating(layers=layers, first=first, design_nm=design_nm, mirror=self.stack.opaque, name=name)
 
 
 @dataclass(frozen=True)

@@ -286,7 +286,7 @@ class Painter:
 
     def _closed(self, coating: Coating | None) -> bool:
         """True if a coating is known to transmit no light."""
-        if coating is None or coating.table is None:
+        if coating is None or coating.table is None or coating.mirror:
             return coating is not None and coating.opaque
         home = f"{self._home}/" if self._home and self._coatings.get(coating.name or "") == coating else ""
         return read_coating(coating.table, coating.design_nm, resolve=lambda path: f"{home}{path}").opaque

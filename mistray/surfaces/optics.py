@@ -50,6 +50,7 @@ DIFFRACTS = 1 << 31  # the light that it scatters in transmission is diffracted
 THIN, SHALLOW = 1e-3, 0.1  # optical depths: of a thin medium, and up to which the series of what it takes is exact
 NO_LOSS = 4e-7  # absorptance 1 - R - T below which it counts as rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
+BEYOND_STEP = 1e-6  # of the cosine, from the critical angle to where all light is reflected
 FIRST_INTERVALS, LAST_INTERVALS = 256, 1 << 14
 AT_ONCE = 1024  # intervals
 # Channels of a table: R for light from the front and from the back, T; in Stokes mode four numbers for each
@@ -235,11 +236,9 @@ def refraction_rows(
 def total_rows(
     coating: Any, wavelength_nm: float, sides: tuple[complex, complex], stokes: bool, cosines: np.ndarray
 ) -> np.ndarray:
-    """
-    Return table rows of R in total reflection, T = 0, (m, 3, c), at cosines in the denser material, (m,).
-
-    Parameters as in `refraction_rows`.
-    """
+    """Return rows of total reflection, T = 0, (m, 3, c), at cosines in the denser material; see `refraction_rows`."""
+    if not isinstance(coating, (Bare, Stack)):  # whose R has no step at the critical angle
+        cosines = cosines * (1 - BEYOND_STEP)
     row = _channels(coating.response(wavelength_nm, *sides, cosines, sides[0].real > sides[1].real), True, stokes)
     return np.stack([row, row, np.zeros_like(row)], axis=1)
 

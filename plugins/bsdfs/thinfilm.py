@@ -78,7 +78,8 @@ class ThinFilm(Interface):
         "first": fixed(
             "string",
             Words(FIRST),
-            "position of the first layer: ``outside`` is the side of lower index (metals count as substrate)",
+            "position of the first layer: ``outside`` is the side of lower index (metals count as substrate); on a "
+            "mirror in one medium it is that of the light",
             "outside",
         ),
         "design_nm": fixed(
@@ -93,7 +94,7 @@ class ThinFilm(Interface):
         "opaque": fixed(
             "bool",
             FLAG,
-            "whether T = 0; for a COAT of a Zemax file the last layer is then the substrate, as for a mirror there",
+            "whether T = 0, as for a mirror; for a COAT of a Zemax file the last layer is then the substrate, as there",
             False,
         ),
         **BY_ITSELF,
@@ -121,7 +122,8 @@ class ThinFilm(Interface):
                 self._start_layers(coating, props)
             else:
                 self._own = coating
-        only_layers = ("first", "opaque", "design_nm", "n_shift", "k_shift")
+        of_zemax = recipe == "table" and not self._recipe.lower().endswith(".csv")
+        only_layers = (*(() if of_zemax else ("first", "opaque", "design_nm")), "n_shift", "k_shift")
         unused = [key for key in only_layers if key in props and self._layers is None]
         if unused:
             raise MistrayError(f"{self.title}: {unused[0]} has no meaning without layers; remove it")

@@ -68,6 +68,16 @@ def test_where_the_first_layer_lies(first: str, front: complex, back: complex, f
         compare(stack, front, back, False, own[::-1])
 
 
+def test_a_mirror_turns_its_layers_to_the_light() -> None:
+    """Both media of a mirror are those of the light; silver under an overcoat that absorbs is duller than by itself."""
+    layers = (Layer("1.6+0.05i", 171.875), Layer("0.06+3.6i", 300.0))
+    front, back = (Stack(layers, opaque=True).response(550.0, AIR, AIR, COSINES, side) for side in (True, False))
+    np.testing.assert_array_equal(front.R, back.R)
+    assert 0.7 < front.R[0, 0] < 0.8
+    assert Stack(layers, "front", opaque=True).response(550.0, AIR, AIR, COSINES, False).R[0, 0] > 0.98
+    assert Stack(layers, opaque=True).response(550.0, GLASS, AIR, COSINES, True).R[0, 0] > 0.95  # seen through a body
+
+
 def test_stacks_and_their_text() -> None:
     """The test above would not see a stack taken the wrong way round if these were equal."""
     from_air, from_glass = (Stack(ABSORBING).response(550.0, AIR, GLASS, COSINES[:1], side) for side in (True, False))

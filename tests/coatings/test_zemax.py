@@ -29,6 +29,7 @@ from mistray.coatings.files import coating_from_text, read_coating, write_table
 from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.materials import complex_index, nearest_known_nm, refractive_index, source
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface
+from mistray.prescription.by_text import coating_of
 
 SAMPLE = Path(__file__).parents[1] / "data" / "coating_sample.dat"
 ONE = np.array([1.0])
@@ -48,6 +49,17 @@ def test_names(file) -> None:
     names = "AR AR2 HR HL2 ALUM SLOPED I.98 SPLIT CLEAR RETARDER MEASURED VENDOR.ZEC"
     assert list(file) == names.split()
     assert file["ar"] == file["AR"]
+
+
+def test_the_ends_of_tables_are_within(tmp_path: Path) -> None:
+    """0.6328 · 1000 is a little more than 632.8, and 0.6342 · 1000 a little less than 634.2."""
+    path = tmp_path / "COATING.DAT"
+    table = "TABLE T\nANGL 0\nWAVE 0.6328 .1 .1 .9 .9\nWAVE 0.6342 0 0 1 1\n"
+    path.write_text(f"MATE HENE\n0.6328 1.5 0\n0.6342 1.4 0\n{table}")
+    coating = read_coating_file(path)["T"]
+    for nm, n, r in ((632.8, 1.5, 0.1), (634.2, 1.4, 0.0)):
+        assert complex_index(f"{path}:HENE", nm) == n
+        assert coating.response(nm, AIR, GLASS, ONE, True).R[0, 0] == r
 
 
 def test_materials(tmp_path: Path) -> None:
@@ -101,6 +113,23 @@ class TestLayers:
         as_window = file["ALUM"].response(550.0, AIR, AIR, ONE, True)
         assert as_window.R.max() < 0.05, "0.1 nm of aluminium is no mirror"
 
+    def test_a_clear_substrate_of_a_mirror_has_no_rear(self, tmp_path: Path) -> None:
+        """4 % of n = 1.5, whatever the wavelength and the thickness in the file; under a quarter wave as on a lens."""
+        path = tmp_path / "COATING.DAT"
+        path.write_text("MATE G\n0.5 1.5 0\n12 1.5 0\nMATE H\n0.5 2.3 0\n12 2.3 0\nCOAT G\nG 1\nCOAT H\nH 0.25\nG 1\n")
+        file, layer = read_coating_file(path), Stack((Layer("2.3", 0.25 * 550 / 2.3),))
+        for nm in (500.0, 633.0, 10600.0):
+            np.testing.assert_allclose(file.mirror("G").response(nm, AIR, AIR, ONE, True).R, 0.04, atol=1e-6)
+            on_lens = layer.response(nm, AIR, 1.5 + 0j, ONE, True).R
+            np.testing.assert_allclose(file.mirror("H").response(nm, AIR, AIR, ONE, False).R, on_lens, atol=1e-4)
+
+    def test_mirrors_without_layers_transmit_nothing(self, file) -> None:
+        assert file.mirror("SPLIT") == Ideal(0.5, 0.0, "SPLIT")
+        table = file.mirror("MEASURED")
+        assert table.opaque
+        at_45 = np.cos(np.radians([45.0]))
+        np.testing.assert_allclose(table.response(500.0, AIR, AIR, at_45, False).R, [[0.05, 0.02]], atol=1e-12)
+
 
 def test_ideal_coatings_tables_and_what_is_not_known(file) -> None:
     """Of the retarder s is real, p has a quarter wave in both: in mistray's exp(-iωt) the sign is turned."""
@@ -124,7 +153,6 @@ def test_ideal_coatings_tables_and_what_is_not_known(file) -> None:
         (lambda: file["SLOPED"], "line 51: taper RADIAL"),
         (lambda: file["VENDOR.ZEC"], "line 68: coating VENDOR.ZEC is encrypted"),
         (lambda: file["measure"], "no coating 'measure'"),
-        (lambda: file.mirror("SPLIT"), r"line \d+: SPLIT has no layers; give its R and T = 0 instead"),
         (lambda: file["AR"].response(800.0, AIR, GLASS, ONE, True), "'AR', layer 1: .*800 nm is outside its 400"),
         (lambda: file["MEASURED"].response(700.0, AIR, GLASS, ONE, True), "MEASURED': 700 nm is outside its 500"),
         (lambda: read_coating_file(SAMPLE, 0.0), "design_nm = 0"),
@@ -158,6 +186,12 @@ def test_names_of_coatings(tmp_path: Path) -> None:
     (tmp_path / "c.dat").write_text("COAT I.²\n", encoding="utf-8")
     assert coating_from_text(f"{tmp_path / 'c.dat'}:I.²") == Stack((), name="I.²")  # no transmittance: ² is no decimal
     assert read_coating(f"{SAMPLE.name}:ALUM", mirror=True, resolve=lambda path: str(SAMPLE.parent / path)).opaque
+
+
+def test_waves_of_a_coating_put_on_by_name() -> None:
+    """They are those of the light that the caller names, as of layers; a stated wavelength goes first."""
+    for text, nm in ((f"{SAMPLE}:AR", 600.0), (f"{SAMPLE}:AR design_nm=650", 650.0), (f"{SAMPLE}:SPLIT", 600.0)):
+        assert coating_of(text, design_nm=600.0).design_nm == nm
 
 
 @pytest.mark.parametrize(

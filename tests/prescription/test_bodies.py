@@ -303,6 +303,34 @@ def test_the_detector_and_the_clear_radii():
     assert any("drawn clear radii" in note and note.endswith("surfaces 1") for note in built.notes)
 
 
+def test_coatings_of_a_zemax_file(tmp_path):
+    """
+    Waves are those of the primary wavelength; mirrors and cemented faces turn their layers to the light.
+
+    The thin silver of the mirrors is their substrate, under half a wave that absorbs.
+    """
+    file = tmp_path / "COATING.DAT"
+    file.write_text(
+        "MATE MGF2\n0.8 1.38 0\nMATE DULL\n0.8 1.6 -0.05\nMATE AG\n0.8 0.06 -3.6\n"
+        "COAT AR\nMGF2 0.25\nCOAT MIRROR\nDULL 0.5\nAG 0.001 1\n"
+    )
+    rows = (
+        Row(1, radius=-200.0, mirror=True, thickness=-70.0, stop=True, coating=f"{file}:MIRROR"),
+        Row(2, radius=-80.0, mirror=True, thickness=60.0, coating=f"{file}:MIRROR"),
+        Row(3, material="1.9044", thickness=4.0, coating=f"{file}:AR"),
+        Row(4, material="1.5", thickness=4.0, coating=f"{file}:MIRROR"),
+        Row(5, thickness=30.0),
+        Row(6, kind="image"),
+    )
+    scene = build(lens(*rows, wavelengths_nm=(800.0,), weights=(1.0,), aperture=40.0)).prescription.to_scene()
+    coated = {shape.id(): shape.bsdf() for shape in scene.shapes()}
+    found = [coated[name].coating.response(800.0, 1.0, 1.0, [1.0], side).R for name in ("S1", "S2") for side in (1, 0)]
+    assert np.min(found) == pytest.approx(np.max(found), rel=1e-6)
+    assert 0.7 < np.min(found) < 0.8
+    assert coated["S4"].coating.front_to_back(800.0, 1.9044, 1.5)[2].tolist() == [0, 1]
+    assert np.max(coated["S3"].coating.response(800.0, 1.0, 1.9044, [1.0], True).R) < 1e-6
+
+
 def test_rims_rays_coatings_and_edges_of_lenses():
     rows = (
         Row(1, radius=61.0, thickness=6.0, material="1.5168", stop=True, label="crown"),
@@ -338,7 +366,7 @@ def test_rims_rays_coatings_and_edges_of_lenses():
     built = build(given, coatings={"ar": Coating(preset="mgf2_quarter_wave")})
     shapes = by_name(built.prescription)
     assert shapes["S1"].coating == Coating(preset="mgf2_quarter_wave")
-    assert shapes["S2"].coating == Coating(table="lib/COATING.DAT:HEAR1")
+    assert shapes["S2"].coating == Coating(table="lib/COATING.DAT:HEAR1", design_nm=given.wavelength_nm)
     assert shapes["S3"].coating is None
     assert "coating 'unknown' of surface 3 is not given (coatings=): it is bare" in built.notes
     assert by_name(beside(built.prescription, "out"))["S2"].coating.table == "../lib/COATING.DAT:HEAR1"

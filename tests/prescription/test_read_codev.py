@@ -183,11 +183,13 @@ def test_apertures_glasses_and_private_catalogues(lens):
         assert (row.aperture, row.obscuration) == (clear, opaque)
         assert len(found.unread) == unread
     named = ("NBK7_SCHOTT", "SLAL8_OHARA", "N-SF5", "BK7", "SILICA", "'MINE'")
+    crystals = ("BAF2_SPECIAL", "BAF2", "BAF2_CDGM")
     numbers = ("517642", "517000.520000", "569.631", "1.7:30")
-    text = "".join(f"S 10 2 {word}\n" for word in (*named, *numbers))
+    text = "".join(f"S 10 2 {word}\n" for word in (*named, *numbers, *crystals))
     found = [row.material for row in lens(system(f"{text}S 0 5"), glasses={"mine": "1.5"}).rows]
     assert found[:6] == ["schott/N-BK7", "ohara/S-LAL8", "schott/N-SF5", "schott/N-BK7", "fused silica", "1.5"]
     assert found[6:10] == [f"nd={nd} Vd={vd} k=0" for nd, vd in ((1.517, 64.2), (1.517, 52), (1.569, 63.1), (1.7, 30))]
+    assert [material.removesuffix(" k=0") for material in found[10:13]] == ["BaF2", "BaF2", "cdgm/BAF2"]
 
     def index(wavelength):
         return 1.5 + 6e3 / wavelength**2

@@ -131,6 +131,8 @@ def test_glasses(read):
         ("GLAS K-FK5 0 0", "SUMITA_AUG2011", "sumita/K-FK5", None),
         ("GLAS S-LAL10", "SCHOTT", "ohara/S-LAL10", "catalogues SCHOTT do not decide"),
         ("GLAS BK7 0 0 1.5 40", "SCHOTT", "schott/N-BK7", "BK7: taken to be schott/N-BK7"),
+        ("GLAS BAF2 0 0", "CDGM INFRARED", "cdgm/BAF2", None),
+        ("GLAS BAF2 0 0", "INFRARED CDGM", "BaF2 k=0", "BAF2: taken to be BaF2"),
         ("GLAS SILICA 0 0 1.5 40", "MISC", "fused silica", "SILICA: taken to be fused silica"),
         ("GLAS N-BK7 3 0 1.5 40", "SCHOTT", "schott/N-BK7", None),
         ("GLAS B270 0 0", "SCHOTT", "schott/B270 k=0", "glass B270: absorption unknown, taken to be 0"),

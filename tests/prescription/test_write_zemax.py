@@ -13,7 +13,7 @@ from refusals import each_refused
 from mistray.io import read_zemax, to_sequential, write_zemax
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
-from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Stop, Surface
+from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import frames, to_world, trace
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
@@ -207,6 +207,20 @@ def test_freeforms_come_back(kind, tmp_path):
     x, y = np.random.default_rng(5).uniform(-3, 3, (2, 40))
     found = sag(25.4 * x, 25.4 * y, read_zemax(file).rows[0].sag_numbers)
     assert found == pytest.approx(25.4 * sag(x, y, row.sag_numbers), abs=1e-12)
+
+
+@pytest.mark.parametrize(("design_nm", "primary", "told"), [(800.0, 0, False), (900.0, 1, False), (700.0, 1, True)])
+def test_waves_of_a_coating_file_choose_the_primary_wavelength(design_nm, primary, told):
+    coating = Coating(table="COATING.DAT:AR", design_nm=design_nm)
+    p = Prescription(
+        name="x",
+        surfaces=(Surface("front", radius=50.0, semi_diameter=5.0, back="1.5", coating=coating),),
+        detector=Detector(z=12.0, semi_diameter=3.0, front="1.5"),
+        source=Source(radius=4.0, z=-5.0, wavelength_nm=(800.0, 900.0, 1000.0)),
+    )
+    lens = to_sequential(p)
+    assert lens.primary == primary
+    assert any("are of 700 nm here, and of 900 nm there" in note for note in lens.notes) == told
 
 
 def test_the_stop_surfaces_from_behind_and_what_is_refused():

@@ -1,7 +1,9 @@
 """Tables and files of scatter: what they hold comes back; a polish, Speos, ABg catalogues; and what is wrong."""
 
 import math
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ import mistray  # noqa: F401
 from mistray.prescription import Scatter
 from mistray.scatter.abg import ABg
 from mistray.scatter.evaluate import bsdf
+from mistray.scatter.harvey_shack import HarveyShack
 from mistray.scatter.k_correlation import KCorrelation
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv, write_bsdf_csv
 from mistray.scatter.measured.psd_table import PsdTable
@@ -26,7 +29,8 @@ from mistray.scatter.measured.speos_bsdf import read_speos_bsdf
 from mistray.scatter.measured.tabulated import Tabulated
 from mistray.scatter.measured.zemax_abg import abg_from_catalogue, read_abg_data
 from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf, write_zemax_bsdf
-from mistray.scatter.scan import table
+from mistray.scatter.phong import Phong
+from mistray.scatter.scan import IncidentLight, scan, table
 from mistray.scatter.total import lobe_total
 
 ANGLES = np.arange(0.0, 85.0, 10.0)
@@ -326,6 +330,42 @@ def test_rotations_all_round(given: list[float], kept: list[float]) -> None:
     np.testing.assert_allclose([table.values[0, 0, 0] for table in found.tables], two_fold(np.array(kept)))
     assert all(table.azimuth_deg[-1] == 360 for table in found.tables)
     assert isinstance(reduced(given, lambda rho: np.full(len(rho), 0.1)), BsdfSamples)
+    mean = reduced(given, two_fold, "mean")
+    np.testing.assert_allclose(mean.tables[0].values, 0.1 + 0.05 * np.cos(2 * np.radians(kept)).mean(), rtol=1e-9)
+
+
+DARK_AT_THE_HORIZON = KCorrelation(
+    2.0, 20.0, 2.0, band_limited=True, theory="rayleigh_rice_vector", substrate=1 + 6j, event="reflection"
+)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize(
+    ("model", "angles"),
+    [
+        (DARK_AT_THE_HORIZON, [0.0, 20.0, 40.0, 60.0, 80.0]),
+        (KCorrelation(2.0, 10.0, 2.5, event="reflection"), [0.0, 89.0]),
+        (Phong(0.7, 3.0), [0.0, 60.0]),
+        (Phong(1.0, 20.0), [0.0]),
+    ],
+    ids=["dark at the horizon", "grazing", "cosine", "one incidence"],
+)
+def test_a_table_scatters_as_its_model(model: Any, angles: list[float], frame: str) -> None:
+    """Also if its values fall to 1e-17 at the horizon, or by a thousand from one incidence to another."""
+    expected = [found.scattered for found in scan(model, angles)]
+    tabulated = Tabulated(table(model, angles, frame), event="reflection", relative_to="specular")
+    assert [found.scattered for found in scan(tabulated, angles)] == pytest.approx(expected, rel=0.04)
+
+
+def test_a_peak_on_few_nodes_decides_the_frame_of_the_ratio() -> None:
+    """Nodes about the normal have steps of 7° there, too wide for this peak, though they fit the rest better."""
+    angles, azimuth, polar = np.array([0.0, 30.0, 60.0]), np.linspace(0, 180, 19), np.linspace(0, 85, 171)
+    shape = (len(angles), len(azimuth), len(polar))
+    empty = BsdfSamples("peak", "normal", angles, azimuth, polar, np.zeros(shape), "reflection")
+    x, y, _ = np.moveaxis(empty.directions(), -1, 0)
+    r2 = (x - np.sin(np.radians(angles))[:, None, None]) ** 2 + y**2
+    (found,) = scan(Tabulated(replace(empty, values=1e-3 / (1e-4 + r2)), beyond="zero"), [0.0])
+    assert found.scattered == pytest.approx(np.pi * 1e-3 * np.log1p(np.sin(np.radians(85)) ** 2 / 1e-4), rel=0.03)
 
 
 POLISH = Path(__file__).parents[1] / "data" / "psd_polish.csv"
@@ -382,16 +422,18 @@ THETAS, PHIS = np.arange(0.0, 90.5, 0.5), np.arange(0.0, 361.0, 30.0)
 INCIDENCES = (0.0, 30.0, 60.0)
 
 
-def speos(path: Path, values, *, of_bsdf: bool = True, total: str = "350\t30\n850\t30", text: str = "") -> Path:
+def speos(
+    path: Path, values, *, of_bsdf: bool = True, total: str = "350\t30\n850\t30", text: str = "", phis=PHIS, at="0.0\t0"
+) -> Path:
     head = "OPTIS - Anisotropic BSDF surface file v8.0\n0\nComment\n23\nMeasurement description\n0\t1\t0\n1\t0\n"
     head += f"{int(of_bsdf)}\n1\n0.0\n{len(INCIDENCES)}\n" + "\t".join(map(str, INCIDENCES))
     blocks = []
     for incidence in INCIDENCES:
-        rows = ["\t".join(map(str, PHIS))]
-        rows += ["\t".join(map(str, [t, *(values(incidence, t, p) for p in PHIS)])) for t in THETAS]
-        blocks.append(f"{len(THETAS)} {len(PHIS)}\n" + "\n".join(rows))
+        rows = ["\t".join(map(str, phis))]
+        rows += ["\t".join(map(str, [t, *(values(incidence, t, p) for p in phis)])) for t in THETAS]
+        blocks.append(f"{len(THETAS)} {len(phis)}\n" + "\n".join(rows))
     lines = total.count("\n") + 1
-    path.write_text(f"{head}\t\n0.0\t0\n\n{lines}\n{total}\n" + "\n".join(blocks) + "\n" + text, encoding="utf-8")
+    path.write_text(f"{head}\t\n{at}\n\n{lines}\n{total}\n" + "\n".join(blocks) + "\n" + text, encoding="utf-8")
     return path
 
 
@@ -405,6 +447,9 @@ def test_a_lambertian_of_any_scale(tmp_path, of_bsdf):
     # The trapezoids of the integral, 0.5° wide, are exact to 1e-5
     assert samples.values[..., inside] == pytest.approx(0.3 / math.pi, rel=1e-4)
     assert Tabulated.read(file).samples == samples
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("23\nMeasurement description", "26\n Measurement description  "), encoding="utf-8")
+    assert read_speos_bsdf(file) == samples, "spaces count"
 
 
 def test_incidences_and_azimuths_of_speos(tmp_path):
@@ -418,6 +463,47 @@ def test_incidences_and_azimuths_of_speos(tmp_path):
     assert samples.frame == "normal"
     azimuth, polar = np.unravel_index(np.argmax(samples.values[2]), samples.values[2].shape)
     assert (samples.azimuth_deg[azimuth], samples.polar_deg[polar]) == (0.0, 60.0)
+
+
+@pytest.mark.parametrize("of_bsdf", [True, False])
+@pytest.mark.parametrize("incidence", [0, 30])
+def test_total_of_speos(tmp_path, incidence, of_bsdf):
+    """
+    A trace scatters what the file states, whatever its grid.
+
+    It does so for a narrow peak at the pole, a last azimuth before 360°, and noise of the intensity at the horizon.
+    """
+
+    def values(i: float, t: float, p: float) -> float:
+        theta, phi, specular = np.radians([t, p, i])
+        x, y = np.sin(theta) * np.cos(phi) - np.sin(specular), np.sin(theta) * np.sin(phi)
+        return np.exp(-(x * x + y * y) / 0.04**2) * (1.0 if of_bsdf else np.cos(theta)) + 1e-4
+
+    file = tmp_path / "a.anisotropicbsdf"
+    speos(file, values, of_bsdf=of_bsdf, phis=np.arange(0.0, 360.0, 20.0), at=f"{incidence}\t0")
+    (found,) = scan(Tabulated.read(file), [incidence])
+    assert found.scattered == pytest.approx(0.3, rel=1e-3)
+
+
+def test_rotation_of_the_total_of_speos(tmp_path):
+    """The last two of three rotations scatter twice as much as the first; the total is that of the second."""
+    file = tmp_path / "a.anisotropicbsdf"
+    content = speos(file, lambda i, t, p: 1.0 + (p < 1), at="0.0\t120").read_text(encoding="utf-8")
+    head, data = content.split("850\t30\n")
+    one = f"{len(INCIDENCES)}\n" + "\t".join(map(str, INCIDENCES))
+    head = head.replace(f"1\n0.0\n{one}", f"3\n0.0\t120.0\t240.0\n{one}\n{one}\n{one}")
+    twice = re.sub(r"\t([12])\.0", lambda match: f"\t{2 * int(match[1])}.0", data)
+    file.write_text(f"{head}850\t30\n{data}{twice}{twice}", encoding="utf-8")
+    model = Tabulated.read(file, anisotropy="keep")
+    found = [scan(model, [0.0], light=IncidentLight(rotation_deg=angle))[0].scattered for angle in (0.0, 120.0)]
+    assert found == pytest.approx([0.15, 0.3], rel=0.01)
+
+
+def test_totals_of_a_narrow_peak():
+    """The TIS in a written file is that of the model, within the straight lines of its table."""
+    polish = HarveyShack(b0=1e4, l=3e-4, s=-2.2, event="reflection")
+    expected = [found.scattered for found in scan(polish, [0.0, 60.0])]
+    assert table(polish, [0.0, 60.0], "specular").totals() == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), vectors.toml("refusals.toml")["files of Speos"])

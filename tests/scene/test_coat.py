@@ -308,6 +308,8 @@ class TestWhatChanges:
         text = recoated(TRIPLET, [infrared], tmp_path)
         assert '<string name="first" value="back"/>' in text
         assert '<float name="design_nm" value="10600"/>' in text
+        mirror = SharedCoating("mirror", preset("protected_al"), ("L1_front",))
+        assert '<boolean name="opaque" value="true"/>' in recoated(TRIPLET, [mirror], tmp_path)
 
 
 def test_files_that_are_refused(tmp_path: Path) -> None:

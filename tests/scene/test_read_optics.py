@@ -193,6 +193,17 @@ def test_surfaces_with_a_thinfilm_alone_and_in_an_included_scene(read, tmp_path)
         read(include)
 
 
+def test_order_waves_and_mirrors_of_a_thinfilm(read):
+    values = '<string name="layers" value="1.6 0.5w, Al 100"/><string name="first" value="back"/>'
+    values += '<string name="n_shift" value="0.01, 0"/>'
+    film = f'<bsdf type="thinfilm">{values}{number("design_nm", 940)}<boolean name="opaque" value="true"/></bsdf>'
+    mirror = f'<bsdf type="interface"><boolean name="mirror" value="true"/>{film}</bsdf>'
+    (surface,) = read(shape(bsdf=mirror))[0].surfaces
+    assert surface.coating == Coating(
+        layers="1.6 0.5w, Al 100", first="back", design_nm=940.0, n_shift=(0.01, 0.0), mirror=True
+    )
+
+
 def test_errors_name_file_and_shape(read):
     each_refused(
         ('<emitter type="collimated"/>', "it has two sources; remove one"),

@@ -14,7 +14,7 @@ from oracles.small_scenes import interface_xml, meter_xml, scene_text, shape_xml
 from refusals import each_refused
 
 import mistray
-from mistray.coatings import Layer, Stack
+from mistray.coatings import CoatingTable, Ideal, Layer, Stack
 from mistray.kernel.interaction import interact
 from mistray.mechanics.ply import ply_bytes
 from mistray.report import main_table
@@ -105,6 +105,18 @@ def test_random_stacks(load_scene, seed) -> None:
                     expected, allowed = (x[:4].reshape(2, 2, -1).mean(axis=1) for x in (expected, allowed))
                 for k, row in enumerate(np.array(found)):
                     assert np.all(np.abs(row - expected[k]) < allowed[k]), (k, stokes, from_front, reverse)
+
+
+def test_fixed_shares_are_the_same_up_to_the_critical_angle_and_beyond() -> None:
+    """Where R leaps from R to R + T, the node itself lies on either side by the rounding of its cosine."""
+    columns = {"wavelength_nm": 550.0, "angle_deg": 0.0, "R": 0.02, "T": 0.97}
+    table = CoatingTable.from_columns("t", {key: np.array([value]) for key, value in columns.items()})
+    for n in np.linspace(1.4, 2.5, 41).round(3).tolist():
+        for sides in ((1 + 0j, n + 0j), (n + 0j, 1.33 + 0j)):
+            for coating in (Ideal(0.02, 0.97), table):
+                found = optics.angle_table(coating, 550.0, *sides, False, False)
+                np.testing.assert_allclose(found.refraction[..., 0], [[0.02, 0.02, 0.97]] * 2, atol=1e-12)
+                np.testing.assert_allclose(found.total[..., 0], [[0.99, 0.99, 0.0]] * 2, atol=1e-12)
 
 
 def test_a_film_of_a_file_that_changes_is_tabulated_again(tmp_path: Path) -> None:

@@ -80,17 +80,20 @@ class CodevGlasses(FileGlasses):
             n, v = (match[1], match[2]) if match[1] else (match[3], match[4])
             return self._fictitious(word, 1 + int(n) / 10 ** len(n), int(v) / 10 ** (len(v) - 2))
         glass, _, maker = name.rpartition("_")
-        if maker.lower() not in MAKERS:  # SPECIAL is CODE V's catalogue of what is no glass, such as GERMLW_SPECIAL
-            glass, maker = glass if maker == "SPECIAL" else name, ""
+        special = maker == "SPECIAL"  # CODE V's catalogue of what is no glass, such as GERMLW_SPECIAL
+        if maker.lower() not in MAKERS:
+            glass, maker = glass if special else name, ""
         wanted = plain(glass)
         for file, names in self._agf:
             if wanted in names:
                 return f"{file}:{names[wanted]}"
         makers = [maker.lower()] if maker else list(MAKERS)
         known = {plain(key): entry.name for each in reversed(makers) for key, entry in glasses()[each].items()}
-        if wanted in known:
+        usual = {plain(key): name for key, name in SYNONYMS.items()}
+        other = OTHER_NAMES | {plain(key): key for key in PINNED} | usual
+        # BAF2 is the crystal, unless the maker says that it is CDGM's glass
+        if wanted in known and (maker or wanted not in (other if special else usual)):
             return known[wanted]
-        other = OTHER_NAMES | {plain(key): key for key in PINNED} | {plain(key): name for key, name in SYNONYMS.items()}
         if not maker and wanted in other:
             if other[wanted] != "air":
                 self.notes.append(f"glass {word}: taken to be {other[wanted]}")

@@ -22,6 +22,7 @@ from mistray.materials.infrared import OTHER_NAMES, plain, without_page
 from mistray.prescription.sequential.table import Unread
 
 MODEL_NAMES = ("___BLANK", "MODEL")
+_NO_GLASSES = ("MISC", "INFRARED")  # catalogues of what is no maker's glass
 NO_DISPERSION_VD = 1e6  # and above: what writers put where a model glass without dispersion may not have Vd = 0
 
 SYNONYMS = {
@@ -83,7 +84,6 @@ class ZemaxGlasses(FileGlasses):
         self.unread: list[Unread] = []
         self._agf = [(file, {name.upper() for name in glass_names(file)}) for file in agf]
         self._catalogues = tuple(catalogues)
-        self._listed = [maker for word in catalogues for maker in MAKERS if word.lower().startswith(maker)]
         self._found: dict[tuple[str, ...], str] = {}
 
     def material(self, line: ZemaxLine, picked_up: Mapping[int, str]) -> str:
@@ -148,9 +148,12 @@ class ZemaxGlasses(FileGlasses):
         for file, names in self._agf:
             if name.upper() in names:
                 return f"{file}:{name}"
-        for maker in self._listed:
-            if (found := _of_maker(maker, name)) is not None:
-                return found
+        for word in self._catalogues:  # BAF2 is a glass of CDGM and a crystal of INFRARED: the first has it
+            if word.upper() in _NO_GLASSES and name.upper() in SYNONYMS:
+                break
+            for maker in _makers(word):
+                if (found := _of_maker(maker, name)) is not None:
+                    return found
         if name.upper() in SYNONYMS:
             material = SYNONYMS[name.upper()]
             if material != "air":
@@ -172,7 +175,8 @@ class ZemaxGlasses(FileGlasses):
 
     def _remedy(self, name: str) -> str:
         known: dict[str, str] = {key: key for _, names in self._agf for key in names}
-        for maker in dict.fromkeys((*self._listed, *MAKERS)):
+        listed = (maker for word in self._catalogues for maker in _makers(word))
+        for maker in dict.fromkeys((*listed, *MAKERS)):
             for key, entry in glasses()[maker].items():
                 known.setdefault(key.upper(), entry.name)
         known |= {key.upper(): key for key in PINNED if key.upper() not in known}
@@ -181,6 +185,11 @@ class ZemaxGlasses(FileGlasses):
         close += [key for key in difflib.get_close_matches(name.upper(), known, n=3) if key not in close]
         nearest = f"like it: {', '.join(known[key] for key in close[:3])}; " if close else ""
         return nearest + remedy(name)
+
+
+def _makers(catalogue: str) -> list[str]:
+    """Return the makers of `MAKERS` of a catalogue of Zemax; none of MISC and others."""
+    return [maker for maker in MAKERS if catalogue.lower().startswith(maker)]
 
 
 def _of_maker(maker: str, name: str) -> str | None:

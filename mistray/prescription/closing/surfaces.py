@@ -124,7 +124,7 @@ class OpticalSurfaces:
                 sag=row.sag,
                 front=front,
                 back=back,
-                coating=self._coating(row),
+                coating=self._coating(k),
                 mirror=row.mirror,
                 part=own_part,
                 **self._clear(k),
@@ -244,7 +244,8 @@ class OpticalSurfaces:
             radius = end * _INSIDE_CONIC
         return {**clip, "semi_diameter": radius} if outline is None else {"outline": outline.within(radius)}
 
-    def _coating(self, row: Row) -> Coating | None:
+    def _coating(self, k: int) -> Coating | None:
+        row = self.lens.rows[k]
         bare = _MIRROR if row.mirror else None
         what = "reflects all light" if row.mirror else "is bare"
         if not row.coating:
@@ -255,7 +256,10 @@ class OpticalSurfaces:
         if name in self.coatings:
             return self.coatings[name]
         if ":" in row.coating:
-            return Coating(table=row.coating)
+            # OpticStudio reverses layers at the way out of glass alone; between glasses the light meets the first one
+            within = not (row.mirror or is_gas(self.before[k]) or is_gas(self.behind[k]))
+            first = ("front" if self.aheads[k] else "back") if within else "outside"
+            return Coating(table=row.coating, first=first, design_nm=self.lens.wavelength_nm, mirror=row.mirror)
         if row.coating in PRESETS:
             return Coating(preset=row.coating, name=row.coating)
         self.notes.append(f"coating '{row.coating}' of surface {row.number} is not given (coatings=): it {what}")

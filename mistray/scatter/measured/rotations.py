@@ -12,6 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.scatter.measured.samples import (
     ANGLE_ROUNDING_DEG,
+    LARGEST_GAP,
     SYMMETRY_TOLERANCE,
     BsdfSamples,
     check_anisotropy,
@@ -20,8 +21,6 @@ from mistray.scatter.measured.samples import (
     one_rotation,
     uncovered,
 )
-
-LARGEST_GAP = 1.5  # of the gap left open, in units of the largest step, for angles that cover a full turn
 
 
 @dataclass(frozen=True, eq=False)

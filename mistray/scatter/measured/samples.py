@@ -13,9 +13,10 @@ from mistray.errors import MistrayError
 FRAMES = ("specular", "normal")
 ANGLE_ROUNDING_DEG = 1e-6
 SYMMETRY_TOLERANCE = 1e-3  # of the largest value, between the two sides of the plane of incidence
-FINE_POLAR, FINE_AZIMUTH = 720, 180  # nodes of the integral over the hemisphere
+FINE_DEG = 1.0  # longest step of the integral over the hemisphere, of two nodes
 ANISOTROPY = ("error", "mean", "keep")
 BEYOND = ("error", "hold", "zero")
+LARGEST_GAP = 1.5  # of the gap left open, in units of the largest step, for angles that cover a full turn
 # A direction below this cosine has no BSDF of its own: there f cos θs, which instruments measure, is 0/0 for f
 HORIZON = 1e-6
 
@@ -45,6 +46,9 @@ class BsdfSamples:
         BSDF, or BSDF times cos θs, 1/sr.
     event : {"reflection", "transmission"}, optional
         Event that was measured, if the file declares it.
+    stated : tuple of float, optional
+        Total integrated scatter that the file states, and where, degrees: angle of the specular direction with the
+        normal, and rotation of the sample.
 
     Raises
     ------
@@ -60,6 +64,7 @@ class BsdfSamples:
     polar_deg: np.ndarray
     values: np.ndarray
     event: str | None = None
+    stated: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.frame not in FRAMES:
@@ -102,7 +107,7 @@ class BsdfSamples:
     @cached_property
     def _content(self) -> tuple[Any, ...]:
         arrays = (self.specular_deg, self.azimuth_deg, self.polar_deg, self.values)
-        return (self.name, self.frame, self.event, *(array.tobytes() for array in arrays))
+        return (self.name, self.frame, self.event, self.stated, *(array.tobytes() for array in arrays))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, BsdfSamples) and self._content == other._content
@@ -246,12 +251,10 @@ class BsdfSamples:
 
         `cosine_corrected` is that of `bsdf`, and `beyond` that of `at`.
         """
-        polar = (np.arange(FINE_POLAR) + 0.5) * (180 / FINE_POLAR)
-        if self.frame == "normal":
-            polar = polar / 2
-        azimuth = (np.arange(FINE_AZIMUTH) + 0.5) * ((360 if self.whole else 180) / FINE_AZIMUTH)
+        polar, steps = _quadrature(self.polar_deg, 90.0 if self.frame == "normal" else 180.0)
+        azimuth, turns = _quadrature(self.azimuth_deg, 360.0 if self.whole else 180.0)
         sides = 1 if self.whole else 2
-        solid_angle = np.radians(polar[1] - polar[0]) * np.radians(azimuth[1] - azimuth[0]) * np.sin(np.radians(polar))
+        solid_angle = turns[:, None] * steps * np.sin(np.radians(polar))
         grid = self.held(self.bsdf(cosine_corrected), self.above(cosine_corrected))
         found = []
         for index, specular in enumerate(self.specular_deg):
@@ -259,6 +262,15 @@ class BsdfSamples:
             values = self.at(grid, index, directions, beyond) * np.maximum(0.0, directions[..., 2])
             found.append(sides * float(np.sum(values * solid_angle)))
         return np.array(found)
+
+
+def _quadrature(nodes_deg: np.ndarray, last_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return angles, degrees, and weights, rad, of an integral from 0 to `last_deg`; no step passes over a node."""
+    even = np.linspace(0, last_deg, int(last_deg / FINE_DEG) + 1)
+    edges = np.unique(np.concatenate([even, nodes_deg[nodes_deg < last_deg]]))
+    half, middle = 0.5 * np.diff(edges)[:, None], 0.5 * (edges[1:] + edges[:-1])[:, None]
+    angles = middle + half * np.array([-1, 1]) / np.sqrt(3)
+    return angles.ravel(), np.radians(np.repeat(half.ravel(), 2))
 
 
 def uncovered(title: str, azimuth_deg: np.ndarray) -> MistrayError:
@@ -319,14 +331,14 @@ def one_rotation(title: str, rotation_deg: np.ndarray, values: np.ndarray, aniso
             )
         return np.asarray(values[0])
     gaps = np.diff(rotation_deg)
-    left = 360 - (rotation_deg[-1] - rotation_deg[0])
+    if not len(gaps):
+        return np.asarray(values[0])
     weight = np.zeros(len(rotation_deg))
     weight[:-1] += gaps
     weight[1:] += gaps
-    if len(gaps) and left <= 1.5 * float(np.max(gaps)):  # all round: the last one is a neighbour of the first
-        weight[[0, -1]] += left
-    elif not len(gaps):
-        weight[:] = 1.0
+    # All round, or half round a surface that half a turn does not change: the last one is a neighbour of the first
+    lefts = [turn - (rotation_deg[-1] - rotation_deg[0]) for turn in (360.0, 180.0)]
+    weight[[0, -1]] += next((left for left in lefts if 0 <= left <= LARGEST_GAP * float(np.max(gaps))), 0.0)
     return np.asarray(np.tensordot(weight / weight.sum(), values, axes=1))
 
 

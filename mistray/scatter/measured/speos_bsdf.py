@@ -11,19 +11,20 @@ integral
 
     ∫ f cos θs dΩ = total
 
-has this value at θ0; between two incidences it is interpolated.
+has this value at θ0 and φ0, the rotation of the sample; between two of them it is interpolated.
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.number_rows import numbers, read_lines
-from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
+from mistray.scatter.measured.rotations import RotatedSamples, by_rotation, whole_circle
 from mistray.scatter.measured.samples import BsdfSamples
 
 SUFFIX = ".anisotropicbsdf"
@@ -45,6 +46,11 @@ class _Lines:
     def where(self) -> str:
         """File name and number of the line read last, for error messages."""
         return f"{self.title}, line {self._next}"
+
+    @property
+    def length(self) -> int:
+        """Number of characters of the line read last, spaces at its ends included."""
+        return len(self._lines[self._next - 1][1])
 
     def text(self) -> str:
         """Return the next line, without spaces at its ends; raise `MistrayError` at the end of the file."""
@@ -95,7 +101,8 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     lines.text()
     left = lines.counts(1)[0]
     while left > 0:  # the description, which may have several lines
-        left -= len(lines.text()) + 1
+        lines.text()
+        left -= lines.length + 1
     lines.values(3)
     if lines.counts(2) != [1, 0]:
         raise MistrayError(f"{lines.where}: it holds transmission; only files with reflection alone are read")
@@ -105,7 +112,7 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     if any(angles != incidences[0] for angles in incidences):
         raise MistrayError(f"{lines.where}: the rotations have other incidences each; measure all at the same")
     specular = np.array(incidences[0])
-    theta_0, _ = lines.values(2)
+    theta_0, phi_0 = lines.values(2)
     lines.text()
     totals = [lines.values(2)[1] for _ in range(lines.counts(1)[0])]
     if not totals or max(totals) - min(totals) > _SAME_TOTAL * max(totals):
@@ -126,18 +133,21 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     assert grid is not None
     polar, azimuth = grid
     values = np.array(blocks).reshape(len(rotation), len(specular), len(azimuth), len(polar))
-    cosine = np.cos(np.radians(polar))
-    if not of_bsdf:
-        values = values / np.maximum(cosine, cosine[cosine > 0].min(initial=1.0))
-    weight = cosine * np.sin(np.radians(polar))
-    over_polar = np.trapezoid(values[0] * np.maximum(weight, 0.0), np.radians(polar), axis=2)
-    found = np.trapezoid(over_polar, np.radians(azimuth), axis=1) * 360 / (azimuth[-1] - azimuth[0])
-    now = float(np.interp(theta_0, specular, found))
+
+    def table_of(azimuth: np.ndarray, values: np.ndarray, at: np.ndarray = specular) -> BsdfSamples:
+        table = BsdfSamples(str(path), "normal", at, azimuth, polar, values, "reflection", stated)
+        return table if of_bsdf else replace(table, values=table.held(table.bsdf(True), table.above(True)))
+
+    stated = (totals[0] / 100, float(np.clip(theta_0, specular[0], specular[-1])), phi_0)
+    plane = _between(phi_0, rotation, values, 360.0)
+    plane = _between(stated[1], specular, plane)[None]
+    (now,) = table_of(*whole_circle(lines.title, azimuth, plane), np.array([stated[1]])).totals()
     if not now > 0:
         raise MistrayError(f"{lines.title}: it scatters nothing at {theta_0:g}°, where its total is stated")
-    values = values * (totals[0] / 100 / now)
+    return by_rotation(lines.title, rotation, azimuth, values * (stated[0] / now), anisotropy, table_of)
 
-    def table_of(azimuth: np.ndarray, values: np.ndarray) -> BsdfSamples:
-        return BsdfSamples(str(path), "normal", specular, azimuth, polar, values, "reflection")
 
-    return by_rotation(lines.title, rotation, azimuth, values, anisotropy, table_of)
+def _between(x: float, nodes: np.ndarray, values: np.ndarray, period: float | None = None) -> np.ndarray:
+    """Return values (n, …) at ascending nodes, (n,), interpolated to x; held outside, unless there is a period."""
+    weights = [np.interp(x, nodes, row, period=period) for row in np.eye(len(nodes))]
+    return np.tensordot(weights, values, axes=1)

@@ -14,7 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.param import Param
 from mistray.ranges import FLAG, TEXT, Words
-from mistray.scatter.evaluate import bsdf
+from mistray.scatter.evaluate import TINY, bsdf
 from mistray.scatter.lobe import RELATIVE_TO, Lobe, Placement, RatioTable
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
 from mistray.scatter.measured.rotations import RotatedSamples
@@ -31,6 +31,7 @@ TURNED_INCIDENCE_NODES, TURNED_R_NODES, TURNED_PSI_NODES, MOST_ROTATIONS = 33, 1
 COARSE = 4  # every fourth node is compared to choose the frame of an anisotropic table
 POLE = 1e-6  # sine of a direction's angle with the normal below which it counts as the normal
 BINS_PER_OCTAVE = 4  # bins of the carrier
+STEEPEST = 24.0  # fall of the carrier, a power of r; a bin may hold the horizon alone, where a table may have 1e-17
 SMALLEST_R = 1e-6
 ROUNDING = 1e-3  # of the total: tables are printed with four digits
 
@@ -40,11 +41,11 @@ class Tabulated(Placement):
     """
     BSDF interpolated in a table, independent of the wavelength.
 
-    The table becomes a profile over r = |β - β0|, the geometric mean of the data, times a smooth ratio over the
-    specular direction, r and the azimuth about it. Between two angles of incidence the scatter follows the specular
+    The table becomes a profile over r = |β - β0|, the mean of the data, times a smooth ratio over the specular
+    direction, r and the azimuth about it. Between two angles of incidence the scatter follows the specular
     direction, so that a peak moves and does not double. Beyond the first and the last angle it keeps its form about the
     specular direction. Between two rotations of the sample it turns with the sample or stays with the plane of
-    incidence, whichever changes it less.
+    incidence, whichever changes it less. If the file states the total scatter, the model has this total.
 
     Attributes
     ----------
@@ -101,17 +102,13 @@ class Tabulated(Placement):
             self._first.check_cover()
         if not np.any(self._above & (self._distances > SMALLEST_R) & (self._grid > 0)):
             raise MistrayError(f"{self.samples.title}: all values are 0; leave the model out")
-        angles, cosines = self._first.specular_deg, np.cos(np.radians(self._first.specular_deg))
-        lobe = Lobe("reflection", self._carrier, ratio=self._ratio)  # angles are counted from the specular direction
-        profile = RadialTable.of(self._carrier)
-        for rotation in self.samples.rotation_deg:
-            totals = lobe_total(lobe, cosines, 1.0, 1.0, profile, np.radians(rotation))
+        for rotation, totals in zip(self.samples.rotation_deg, self._scale * self._totals, strict=True):
             worst = int(np.argmax(totals))
             if totals[worst] > 1 + ROUNDING:
                 turned = f" and rotation {rotation:g}°" if self.anisotropic else ""
                 raise MistrayError(
-                    f"{self.samples.title}: TIS = {totals[worst]:.4g} at {angles[worst]:g}°{turned}, more than all "
-                    "light; check the unit (1/sr) and whether the values are cosine corrected"
+                    f"{self.samples.title}: TIS = {totals[worst]:.4g} at {self._first.specular_deg[worst]:g}°{turned}, "
+                    "more than all light; check the unit (1/sr) and whether the values are cosine corrected"
                 )
 
     @classmethod
@@ -156,7 +153,7 @@ class Tabulated(Placement):
         """Return the lobe of an event, or () if only the other event was measured, see `Placement.event_lobes`."""
         if self.samples.event not in (None, event):
             return ()
-        return (Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio),)
+        return (Lobe(event, lambda r: self._scale * self._carrier(r), shares=self.shares, ratio=self._ratio),)
 
     @property
     def anisotropic(self) -> bool:
@@ -186,7 +183,12 @@ class Tabulated(Placement):
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the radial profile, (k,): ln r, and ln f, f in 1/sr, mean over azimuth, incidence and rotation."""
+        """
+        Nodes of the radial profile, (k,): ln r, and ln f, f in 1/sr, mean over azimuth, incidence and rotation.
+
+        Arithmetic means, and a limit to the slope, keep the ratio of the table to the profile small, so that it can be
+        interpolated where the table falls by many powers of ten.
+        """
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
         one_of_any = bins[np.any(used, axis=0)]
@@ -198,16 +200,34 @@ class Tabulated(Placement):
                 if not np.any(here):
                     continue
                 count = np.bincount(number[here] - first)
-                sums = (np.bincount(number[here] - first, np.log(column[here])) for column in (r, f))
+                sums = (np.bincount(number[here] - first, column) for column in (np.log(r[here]), f[here]))
                 mean_r, mean_f = (total[count > 0] / count[count > 0] for total in sums)
-                curves.append(np.interp(centres, mean_r, mean_f))
-        return centres, np.mean(curves, axis=0)
+                curves.append(np.interp(centres, mean_r, np.log(mean_f)))
+        log_f = np.log(np.mean(np.exp(curves), axis=0)) + STEEPEST * centres
+        return centres, np.maximum.accumulate(log_f) - STEEPEST * centres
 
     def _carrier(self, r: np.ndarray) -> np.ndarray:
         """Return the radial profile, 1/sr, at distances r: a power law between nodes, constant outside them."""
         log_r, log_f = self._nodes
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.interp(np.log(r), log_r, log_f)))
+
+    @cached_property
+    def _totals(self) -> np.ndarray:
+        """TIS at the d rotations and a angles of incidence of the table, (d, a), without `_scale`."""
+        lobe = Lobe("reflection", self._carrier, ratio=self._ratio)  # angles are counted from the specular direction
+        cosines, profile = np.cos(np.radians(self._first.specular_deg)), RadialTable.of(self._carrier)
+        rotations = np.radians(self.samples.rotation_deg)
+        return np.array([lobe_total(lobe, cosines, 1.0, 1.0, profile, rotation) for rotation in rotations])
+
+    @cached_property
+    def _scale(self) -> float:
+        """Factor with which the model has the total that the file states; 1 if it states none."""
+        if self._first.stated is None:
+            return 1.0
+        total, specular, rotation = self._first.stated
+        found = [np.interp(specular, self._first.specular_deg, row) for row in self._totals]
+        return float(total / np.interp(rotation, self.samples.rotation_deg, found, period=360.0))
 
     @cached_property
     def _ratio(self) -> RatioTable:
@@ -319,20 +339,26 @@ class Tabulated(Placement):
 
     def _misfit(self, ratio: RatioTable) -> float:
         """
-        Return the mean relative error of the interpolating model at the table's nodes above the horizon.
+        Return the mean relative error, each 1 at most, of the interpolating model at nodes above the horizon.
 
-        Nodes without scatter are left out, and so is the pole for anisotropic samples.
+        To it is added the error weighted by the scattered flux, which a narrow peak may hold on few nodes. Nodes
+        without scatter are left out, and so is the pole for anisotropic samples.
         """
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
-        directions, departures = self._first.directions(), []
+        directions, departures = self._first.directions(), list[float]()
+        polar = np.radians(self._first.polar_deg)
+        flux = directions[..., 2] * np.sin(polar) * (np.gradient(polar) if len(polar) > 1 else 1.0)
         counts = self._above & (self._first.polar_deg > 0) if self.anisotropic else self._above
         for grid, rotation in zip(self._grid, np.radians(self.samples.rotation_deg), strict=True):
             for index, cosine in enumerate(np.cos(np.radians(self._first.specular_deg))):
                 here = counts[index] & (grid[index] > 0)
                 out = directions[index][here]
                 found = bsdf(lobes, "reflection", float(cosine), out, 1.0, 1.0, 1.0, float(rotation))
-                departures.append(np.abs(found / grid[index][here] - 1))
-        return float(np.mean(np.concatenate(departures)))
+                given, weight = grid[index][here], flux[index][here]
+                error = np.abs(found - given)
+                departures.append(float(np.mean(np.minimum(error / given, 1.0))))
+                departures[-1] += float(weight @ error / max(weight @ given, TINY))
+        return float(np.mean(departures))
 
 
 def _all_round(rotations: np.ndarray, planes: np.ndarray) -> np.ndarray:
