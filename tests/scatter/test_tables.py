@@ -368,6 +368,25 @@ def test_a_peak_on_few_nodes_decides_the_frame_of_the_ratio() -> None:
     assert found.scattered == pytest.approx(np.pi * 1e-3 * np.log1p(np.sin(np.radians(85)) ** 2 / 1e-4), rel=0.03)
 
 
+def test_a_smooth_lobe_between_coarse_azimuths() -> None:
+    """A lobe that is as wide across as along the plane of incidence: total by fine steps, within 4 %."""
+
+    def lobe(d: np.ndarray, specular_deg: float) -> np.ndarray:
+        angle = np.radians(specular_deg)
+        return 2e-3 + np.exp(33 * (d[..., 0] * np.sin(angle) + d[..., 2] * np.cos(angle) - 1))
+
+    angles = np.array([0.0, 30.0, 60.0, 75.0])
+    empty = BsdfSamples("test", "normal", angles, np.arange(0, 181, 10.0), np.arange(0, 91, 1.0), np.zeros((4, 19, 91)))
+    values = np.array([lobe(d, angle) for d, angle in zip(empty.directions(), angles, strict=True)])
+    found = [one.scattered for one in scan(Tabulated(replace(empty, values=values)), angles.tolist())]
+    theta, phi = (np.radians(np.arange(0.05, end, 0.1)) for end in (90, 180))
+    sine, cosine = np.sin(theta)[:, None], np.cos(theta)[:, None]
+    d = np.stack(np.broadcast_arrays(sine * np.cos(phi), sine * np.sin(phi), cosine), axis=-1)
+    step = 2 * np.radians(0.1) ** 2
+    expected = [step * float(np.sum(lobe(d, angle) * sine * cosine)) for angle in angles]
+    assert found == pytest.approx(expected, rel=0.04)
+
+
 POLISH = Path(__file__).parents[1] / "data" / "psd_polish.csv"
 TABLE = 2e-3  # relative: power laws between 600 frequencies, and a constant below the first
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from mistray.errors import MistrayError
 
 FRAMES = ("specular", "normal")
 ANGLE_ROUNDING_DEG = 1e-6
 SYMMETRY_TOLERANCE = 1e-3  # of the largest value, between the two sides of the plane of incidence
+RESOLVED = 0.03  # relative change of a total by half of the angles up to which a table resolves the scatter
 FINE_DEG = 1.0  # longest step of the integral over the hemisphere, of two nodes
 ANISOTROPY = ("error", "mean", "keep")
 BEYOND = ("error", "hold", "zero")
@@ -262,6 +264,42 @@ class BsdfSamples:
             values = self.at(grid, index, directions, beyond) * np.maximum(0.0, directions[..., 2])
             found.append(sides * float(np.sum(values * solid_angle)))
         return np.array(found)
+
+    def resolved(self, cosine_corrected: bool = False, beyond: str = "hold") -> bool:
+        """
+        Return whether the table resolves the scatter at all incidences.
+
+        It does if every second polar angle and azimuth gives the `totals`, whose arguments these are, within
+        `RESOLVED`.
+        """
+        counts = self.values.shape[1:]
+        if min(counts) < 3:
+            return False
+        azimuths, polars = (np.unique([*range(0, count, 2), count - 1]) for count in counts)
+        values = self.values[:, azimuths[:, None], polars]
+        half = replace(self, azimuth_deg=self.azimuth_deg[azimuths], polar_deg=self.polar_deg[polars], values=values)
+        whole, coarse = (table.totals(cosine_corrected, beyond) for table in (self, half))
+        return bool(np.all(np.abs(coarse - whole) <= RESOLVED * whole))
+
+    def finer(self, step_deg: float) -> BsdfSamples:
+        """
+        Return the table with azimuths at most about `step_deg`, degrees, apart; unchanged if it has no wider steps.
+
+        New values follow a monotone cubic over the azimuth, even about the plane of incidence where one side was
+        measured.
+        """
+        parts = np.maximum(np.ceil(np.diff(self.azimuth_deg) / step_deg - 1e-6).astype(int), 1)
+        if np.all(parts == 1):
+            return self
+        azimuth = np.interp(np.arange(parts.sum() + 1), np.append(0, np.cumsum(parts)), self.azimuth_deg)
+        nodes, values = self.azimuth_deg, self.values
+        if self.whole:
+            nodes = np.concatenate([nodes[:-1] - 360, nodes, nodes[1:] + 360])
+            values = np.concatenate([values[:, :-1], values, values[:, 1:]], axis=1)
+        else:
+            nodes = np.concatenate([-nodes[:0:-1], nodes, 360 - nodes[-2::-1]])
+            values = np.concatenate([values[:, :0:-1], values, values[:, -2::-1]], axis=1)
+        return replace(self, azimuth_deg=azimuth, values=PchipInterpolator(nodes, values, axis=1)(azimuth))
 
 
 def _quadrature(nodes_deg: np.ndarray, last_deg: float) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -29,6 +29,7 @@ COS_NODES = 129
 # Nodes of an anisotropic table, which has the rotation of the sample and both sides of the plane of incidence as well
 TURNED_INCIDENCE_NODES, TURNED_R_NODES, TURNED_PSI_NODES, MOST_ROTATIONS = 33, 129, 73, 36
 COARSE = 4  # every fourth node is compared to choose the frame of an anisotropic table
+AZIMUTH_STEP_DEG = 2.5  # widest step of the azimuth in tables of smooth scatter
 POLE = 1e-6  # sine of a direction's angle with the normal below which it counts as the normal
 BINS_PER_OCTAVE = 4  # bins of the carrier
 STEEPEST = 24.0  # fall of the carrier, a power of r; a bin may hold the horizon alone, where a table may have 1e-17
@@ -160,10 +161,28 @@ class Tabulated(Placement):
         """True if the scatter changes when the sample is turned about its normal, or has no mirror symmetry."""
         return isinstance(self.samples, RotatedSamples) or self.samples.whole
 
+    @cached_property
+    def _tables(self) -> tuple[BsdfSamples, ...]:
+        """
+        BSDF, 1/sr, at all d rotations of the sample, on one grid, with the last values above the horizon held below it.
+
+        A table about the normal that resolves the scatter is interpolated to finer azimuths: between two of them a
+        smooth lobe differs from a ratio to the profile. Of a peak between coarse angles only the profile tells the
+        form.
+        """
+        given = self.samples.tables
+        tables = [
+            replace(table, values=table.held(table.bsdf(self.cosine_corrected), table.above(self.cosine_corrected)))
+            for table in given
+        ]
+        normal = given[0].frame == "normal"
+        smooth = normal and all(table.resolved(self.cosine_corrected, self.beyond) for table in given)
+        return tuple(table.finer(AZIMUTH_STEP_DEG) if smooth else table for table in tables)
+
     @property
     def _first(self) -> BsdfSamples:
-        """Measured table at the first sample rotation; those of all rotations have the same grid."""
-        return self.samples.tables[0]
+        """Table of the first sample rotation, see `_tables`."""
+        return self._tables[0]
 
     @cached_property
     def _above(self) -> np.ndarray:
@@ -172,8 +191,8 @@ class Tabulated(Placement):
 
     @cached_property
     def _grid(self) -> np.ndarray:
-        """BSDF at all d rotations, (d, a, b, c), 1/sr, see `BsdfSamples.bsdf`."""
-        return np.array([table.bsdf(self.cosine_corrected) for table in self.samples.tables])
+        """BSDF at all d rotations, (d, a, b, c), 1/sr, see `_tables`."""
+        return np.array([table.values for table in self._tables])
 
     @cached_property
     def _distances(self) -> np.ndarray:
@@ -264,7 +283,7 @@ class Tabulated(Placement):
         def planes(second: np.ndarray, angle: np.ndarray, from_x: bool) -> np.ndarray:
             found = [
                 self._planes(values, table, axes, second, angle + (rotation if from_x else 0.0))
-                for values, table, rotation in zip(relative, self.samples.tables, rotations, strict=True)
+                for values, table, rotation in zip(relative, self._tables, rotations, strict=True)
             ]
             return np.array(found)
 
