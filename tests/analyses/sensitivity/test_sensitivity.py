@@ -121,6 +121,11 @@ def test_what_changes_together(plate: Any) -> None:
     (row,) = sensitivity(path_power(camera, "stray", rays=500), keys=["housing_face.z"], check=False).rows
     assert row.label == "housing.z"
     assert set(row.line.keys) == {"housing_face.z", "housing_wall.z"}
+    # Any of its keys stands for the row
+    for one in ("housing_face.z", "housing_wall.z"):
+        how = {"tolerances": {one: 0.3}, "change": [one], "check": False}
+        (row,) = sensitivity(path_power(camera, "stray", rays=500), keys=["housing_face.z"], **how).rows
+        assert (row.tolerance, row.free) == (0.3, True)
     # Walls and scatter may be changed; the plate itself, T and the detector may not
     known = parameters(camera)
     free = set(free_keys(camera, known))
