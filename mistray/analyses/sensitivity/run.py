@@ -129,16 +129,16 @@ def run(
     table = LineNumbers.of(found, lines, [limits[line.label] for line in lines])
     wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
 
-    def scatters() -> None:
+    def traceable() -> None:
         """
-        Evaluate every scatter model of the scene as a trace would, so that invalid values raise `MistrayError`.
+        Set up surfaces and scatter models of the scene as a trace would, so that invalid values raise `MistrayError`.
 
-        Do nothing if no parameter is one of a scatter model.
+        Do nothing if no parameter is a share of light or one of a scatter model.
         """
-        for wavelength in wavelengths if any(one.kind == "scatter" for one in known.values()) else ():
+        for wavelength in wavelengths if {"share", "scatter"} & {one.kind for one in known.values()} else ():
             ScatterTables(SurfaceTable(metric.scene, float(wavelength)), {})
 
-    reachable = table.accepted(given, table.reachable(free, request.reach), scatters)
+    reachable = table.accepted(given, table.reachable(free, request.reach), traceable)
     rows = table.rows(free, reachable, request.factor)
     spread = propagate([row.label for row in rows], table.change_batches, groups)
     shares = {item.members[0]: item.share for item in spread.contributions if len(item.members) == 1}
