@@ -415,9 +415,9 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
 
 def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
     """
-    Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0, with p = `norm`: at most their minimum.
+    Return the smooth minimum (Σ v^-p)^(-1/p) of values v ≥ 0, with p = `norm`: at most their minimum.
 
-    Raise `MistrayError` if `norm` is below 1.
+    If one of them is 0, so are the result and its derivatives. Raise `MistrayError` if `norm` is below 1.
 
     Examples
     --------
@@ -425,4 +425,7 @@ def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
     >>> print(f"{mistray.optimize.smooth_minimum(mi.Float64(1, 2, 3))[0]:.4f}")
     1.0000
     """
+    NORMS.check("norm", norm)
+    if float(dr.min(dr.detach(values))[0]) == 0:
+        return dr.sum(values) * dr.opaque(mi.Float64, 0)
     return 1 / smooth_maximum(1 / values, norm)

@@ -131,6 +131,11 @@ class TestNumbers:
         assert float(smooth_maximum(mi.Float64([0.0, 0.0]))[0]) == 0
         expected = np.sum(values[5:] ** -3.0) ** (-1 / 3)
         assert float(smooth_minimum(mi.Float64(values[5:]), 3.0)[0]) == pytest.approx(expected, rel=1e-10)
+        dark = mi.Float64(values)
+        dr.enable_grad(dark)
+        least = smooth_minimum(dark)
+        dr.backward(least)
+        assert (float(least[0]), np.array(dr.grad(dark)).tolist()) == (0.0, [0.0] * 50)
 
     def test_rms_irradiance_of_ghosts(self, scene, traces) -> None:
         """The figures of the ghost table: all wavelengths of a path together."""

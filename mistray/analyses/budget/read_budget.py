@@ -112,7 +112,9 @@ def _requirement(section: TomlSection, traced: TomlSection) -> Requirement:
     for table in (section, traced):
         for key in filter(SETTINGS.get, table.content):
             table.value(key, SETTINGS[key])  # refused here, by its place
-    arguments = {**traced.content, **own}
+    # Weights belong to the wavelengths beside them
+    shared = {key: value for key, value in traced.content.items() if key != "weights" or "wavelength_nm" not in own}
+    arguments = {**shared, **own}
     needed = [key for key, is_needed in own_arguments(factory).items() if is_needed]
     for name in needed:
         if name not in arguments:

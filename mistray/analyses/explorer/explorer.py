@@ -42,7 +42,7 @@ from mistray.metrics.metric import path_power
 from mistray.metrics.scene_values import assign
 from mistray.notes import quiet
 from mistray.prescription.by_text import BARE
-from mistray.sampling.sources import scene_sources, spectrum_of
+from mistray.sampling.sources import scene_sources, source_emitters
 from mistray.scene import Rules, find, load
 from mistray.scene.check import check_overlaps
 from mistray.scene.coat import coated_text
@@ -120,10 +120,10 @@ class Explorer:
         require_one([shape.id() for shape in solid_shapes(self._scene) if shape.is_sensor()])
         self._settings = dict(request.settings)
         self.fields = self._fields(request.field_deg)
-        given = None if wavelength_nm is None else [wavelength_nm]
-        wavelengths = [float(nm) for nm in spectrum_of(self._scene, given, None)[0]]
+        every = {float(nm) for source in source_emitters(self._scene) for nm in source.wavelengths_nm}
+        wavelengths = sorted(every) if wavelength_nm is None else [wavelength_nm]
         # One mode for all states, so that the kernels stay and neighbouring states compare
-        light = {**self._settings, **({} if given is None else {"wavelength_nm": wavelength_nm})}
+        light = {**self._settings, **({} if wavelength_nm is None else {"wavelength_nm": wavelength_nm})}
         self._polarization = one_for_fields(self._scene, self.fields or [None], light)
         self.controls = controls_of(self.path, self._scene, self.fields, wavelengths, request.control)
         self._looks = Looks(self._scene, self.controls)

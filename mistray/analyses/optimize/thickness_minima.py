@@ -49,9 +49,10 @@ def thickness_minima(
     steps = DIFFERENCE_NM * np.concatenate([np.zeros((1, layers)), np.eye(layers), -np.eye(layers)])
 
     def slope(d: np.ndarray) -> tuple[float, np.ndarray]:
-        values = np.log(np.maximum(cost(np.abs(d + steps)), FLOOR))
+        places = np.maximum(d + steps, 0.0)  # a layer of no thickness has a slope on one side
+        values = np.log(np.maximum(cost(places), FLOOR))
         up, down = np.split(values[1:], 2)
-        return float(values[0]), (up - down) / (2 * DIFFERENCE_NM)
+        return float(values[0]), (up - down) / (DIFFERENCE_NM + np.minimum(d, DIFFERENCE_NM))
 
     starts = [*given, *scattered[np.argsort(cost(scattered))[:followed]]]
     ends = [minimize(slope, start, jac=True, method="L-BFGS-B", bounds=bounds_nm) for start in starts]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -101,9 +101,11 @@ def run(
     known = parameters(metric.scene, given)
     chosen = chosen_keys(metric.scene, known, request.keys)
     lines = lines_of(metric.scene, given, known, chosen)
-    limits = _tolerances(known, request.tolerances or {})
+    limits = _tolerances(known, lines, request.tolerances or {})
     _groups(known, lines, request.together)  # before the trace: what is wrong with them costs no time
-    free = set(free_keys(metric.scene, known) if request.change is None else match(known, request.change))
+    free = set(free_keys(metric.scene, known))
+    if request.change is not None:
+        free = {key for line in _of_keys(lines, match(known, request.change)) for key in line.keys}
     active = {key: known[key] for line in lines for key in line.moved}
     gathered = gradient_request(active.values(), request.edges, request.edge_width)
     arguments: dict[str, Any] = {"tolerances": dict(request.tolerances or {}), "together": list(request.together)}
@@ -124,19 +126,19 @@ def run(
     lines, without = _with_derivative(found, lines)
     groups = _groups(known, lines, request.together)
     not_traced = [] if taken.times == 1 else [f"{1 - taken.times:.3%} of the rays".replace("%", " %")]
-    table = LineNumbers.of(found, lines, [limits[line.parameter.key] for line in lines])
+    table = LineNumbers.of(found, lines, [limits[line.label] for line in lines])
     wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
 
-    def scatters() -> None:
+    def traceable() -> None:
         """
-        Evaluate every scatter model of the scene as a trace would, so that invalid values raise `MistrayError`.
+        Set up surfaces and scatter models of the scene as a trace would, so that invalid values raise `MistrayError`.
 
-        Do nothing if no parameter is one of a scatter model.
+        Do nothing if no parameter is a share of light or one of a scatter model.
         """
-        for wavelength in wavelengths if any(one.kind == "scatter" for one in known.values()) else ():
+        for wavelength in wavelengths if {"share", "scatter"} & {one.kind for one in known.values()} else ():
             ScatterTables(SurfaceTable(metric.scene, float(wavelength)), {})
 
-    reachable = table.accepted(given, table.reachable(free, request.reach), scatters)
+    reachable = table.accepted(given, table.reachable(free, request.reach), traceable)
     rows = table.rows(free, reachable, request.factor)
     spread = propagate([row.label for row in rows], table.change_batches, groups)
     shares = {item.members[0]: item.share for item in spread.contributions if len(item.members) == 1}
@@ -227,11 +229,16 @@ def _require_light(found: Gradient) -> None:
         )
 
 
-def _tolerances(known: Mapping[str, Parameter], given: Mapping[str, float]) -> dict[str, float]:
-    """Return the tolerance of every parameter by key, in its unit: the usual one, or that `given` by key or pattern."""
-    limits = {key: parameter.tolerance for key, parameter in known.items()}
+def _of_keys(lines: Sequence[Line], keys: Iterable[str]) -> list[Line]:
+    """Return the lines that hold one of some keys: what several keys share can be named by any of them."""
+    return [line for line in lines if not set(line.keys).isdisjoint(keys)]
+
+
+def _tolerances(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping[str, float]) -> dict[str, float]:
+    """Return the tolerance of each line, in its unit, by label: the usual one, or that `given` for one of its keys."""
+    limits = {line.label: line.parameter.tolerance for line in lines}
     for pattern, value in given.items():
-        limits |= dict.fromkeys(match(known, [pattern]), float(value))
+        limits |= {line.label: float(value) for line in _of_keys(lines, match(known, [pattern]))}
     return limits
 
 

@@ -163,6 +163,14 @@ def test_files(tmp_path: Path) -> None:
     each_refused((path, "correct the TOML"), (tmp_path / "no.toml", "No such file"), by=read_budget)
 
 
+def test_weights_belong_to_the_wavelengths_beside_them() -> None:
+    require = {**study(1.0)["require"][0], "wavelength_nm": [450, 650]}
+    traced = {"rays": 1000, "wavelength_nm": [500, 600], "weights": [1, 9]}
+    for given, weights in ((require, None), (require | {"weights": [3, 1]}, (3, 1))):
+        (found,) = read_budget(study(1.0, require=[given], traced=traced)).requirements
+        assert (found.arguments["wavelength_nm"], found.arguments.get("weights")) == ((450, 650), weights)
+
+
 def polish(weight: float = 1.0, low: float = 0.01, high: float = 100.0, exponent: float = 1.0) -> ToleranceChoice:
     return ToleranceChoice("rms_nm", AS_GIVEN, low, high, PowerCost(weight, 1.0, exponent))
 

@@ -259,6 +259,16 @@ def test_an_estimate_has_the_coating_that_is_put_on(name, tmp_path):
             mistray.coat(path, {control.label: presets[-1]})
 
 
+def test_sources_of_different_wavelengths(tmp_path):
+    """Each keeps its own: one number for both would change the colour of one of them."""
+    text = mistray.scene.find("singlet_window_detector").read_text(encoding="utf-8")
+    source = re.search(r'<emitter type="collimated" id="source">.*?</emitter>', text, re.DOTALL)[0]
+    second = source.replace('id="source"', 'id="other"').replace("587.5618", "450")
+    path = tmp_path / "scene.xml"
+    path.write_text(text.replace(source, source + second), encoding="utf-8")
+    assert "wavelength" not in Explorer(path, rays=200).controls
+
+
 @pytest.mark.long
 def test_a_path_of_several_wavelengths_and_sources(tmp_path):
     """One row for both wavelengths, the sum of what a trace finds at each; one for each source, told apart by it."""

@@ -26,6 +26,7 @@ from mistray.analyses.optimize.study.study_scene import open_scene, place
 from mistray.analyses.optimize.study.terms import layer_minimum, material_count, total_thickness, traced_metric
 from mistray.analyses.optimize.study.variables import find_variables
 from mistray.analyses.optimize.tables import optimization_record, report_text, worse_lines
+from mistray.analyses.optimize.thickness_minima import thickness_minima
 from mistray.coatings import preset
 from mistray.metrics.scene_values import changed
 from mistray.optimize import Metric, Optimizer, Term, gradient, optimize, path_power, read_study
@@ -436,3 +437,6 @@ def test_the_deepest_minimum_is_found():
     assert found == pytest.approx([100, 100], abs=0.01)
     bound = best_thicknesses(cost, [110, 5], [260, 260], [])
     assert bound[0] >= 110
+    # A layer that is not there yet: the slope at 0 leads away from it
+    (grown,) = thickness_minima(lambda d: np.exp(-d[:, 0] / 50), [(0, 150)], [np.zeros(1)], points=1, followed=0)
+    assert grown == pytest.approx([150])

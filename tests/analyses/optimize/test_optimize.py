@@ -191,6 +191,21 @@ class TestCheckpoint:
         refused("verification_seeds is 1", verification_seeds=1, checkpoint=None, resume=False)
         refused("steps is -1", steps=-1, checkpoint=None, resume=False)
 
+    def test_files_that_scene_and_layers_name(self, tmp_path: Path) -> None:
+        """What was evaluated with their former content is of no use."""
+        glass, layer = (tmp_path / f"{name}.dat" for name in ("glass", "layer"))
+        glass.write_text("MATE G\n0.55 1.5 0\n")
+        layer.write_text("MATE L\n0.55 1.38 0\n")
+        scene, file, given = write(tmp_path, plates_text(1, "glass.dat:G")), tmp_path / "checkpoint.json", study()
+        given["coating"][0]["layers"] = f"{layer}:L 60"
+        optimized(scene, given, checkpoint=file, steps=0)
+        going_on = partial(optimized, scene, given, checkpoint=file, resume=True, steps=0)
+        assert going_on().thickness_nm("AR") == pytest.approx([60.0])
+        layer.write_text("MATE L\n0.55 1.45 0\n")
+        each_refused((going_on, "belongs to another study"))
+        glass.write_text("MATE G\n0.55 1.6 0\n")
+        each_refused((going_on, "belongs to another scene"))
+
 
 class TestOwnTerm:
     """A kind that is a function of one's own."""

@@ -110,6 +110,13 @@ def test_errors_of_the_rows(load_scene) -> None:
     assert np.all(np.mean(errors, axis=0) < 0.5 * np.mean(apart, axis=0))
 
 
+def test_a_detector_stays_lit() -> None:
+    """With R = 1 it would absorb nothing, which no trace takes: the range ends before."""
+    direct = path_power(mistray.load("lens_and_window"), "direct", rays=256)
+    (row,) = sensitivity(direct, keys="detector.bsdf.R", check=False).rows
+    assert row.to_value == pytest.approx(0.2 + 0.999 * 0.8, rel=1e-6)
+
+
 def test_what_changes_together(plate: Any) -> None:
     """Perturbed indices lose no light between the surfaces of a plate; a part moves as a whole."""
     found = sensitivity(path_power(plate, "direct", **SETTINGS), keys=["p0_front.bsdf.n_*"], check=False, monte_carlo=2)
@@ -121,6 +128,11 @@ def test_what_changes_together(plate: Any) -> None:
     (row,) = sensitivity(path_power(camera, "stray", rays=500), keys=["housing_face.z"], check=False).rows
     assert row.label == "housing.z"
     assert set(row.line.keys) == {"housing_face.z", "housing_wall.z"}
+    # Any of its keys stands for the row
+    for one in ("housing_face.z", "housing_wall.z"):
+        how = {"tolerances": {one: 0.3}, "change": [one], "check": False}
+        (row,) = sensitivity(path_power(camera, "stray", rays=500), keys=["housing_face.z"], **how).rows
+        assert (row.tolerance, row.free) == (0.3, True)
     # Walls and scatter may be changed; the plate itself, T and the detector may not
     known = parameters(camera)
     free = set(free_keys(camera, known))

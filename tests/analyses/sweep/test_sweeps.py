@@ -178,6 +178,17 @@ def test_wrong_arguments(plate: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("own", "words"), [('"field_deg" value="1"', "field angles"), ('"wavelength_nm" value="450"', "spectra")]
+)
+def test_sources_that_differ(tmp_path: Path, own: str, words: str) -> None:
+    """A row is at one wavelength and one field: that of neither source would hold for both."""
+    other = f'<emitter type="collimated"><float name="radius" value="1"/><float name={own}/></emitter>'
+    scene = write(tmp_path, plates_text(1).replace("</scene>", f"{other}</scene>"))
+    with refused(f"the sources of the scene have several {words}; give"):
+        mistray.sweep(scene, rays=64, cache=False)
+
+
 class TestToml:
     def test_values(self) -> None:
         found = sweeps.read_configurations(vectors.DATA / "zoom_states.toml")

@@ -13,6 +13,7 @@ from mistray.cache.fingerprint import file_fingerprint
 from mistray.errors import MistrayError
 from mistray.read_file import read_file
 from mistray.replace_file import replace_file
+from mistray.scene.files import scene_files
 
 FORM = 3  # changes when the content does
 
@@ -26,14 +27,15 @@ class Checkpoint:
     path : Path
         File to write and read.
     scene : Path
-        Scene file; its content must be unchanged when the state is read back.
+        Scene file; its content, and that of all files it names, must be unchanged when the state is read back.
     study : str
         Fingerprint of the study.
     """
 
     def __init__(self, path: Path, scene: Path, study: str) -> None:
         self.path = path
-        self.key = {"form": FORM, "scene": file_fingerprint(scene), "study": study}
+        contents = "".join(map(file_fingerprint, scene_files(scene)))
+        self.key = {"form": FORM, "scene": contents, "study": study}
 
     def write(self, state: State) -> None:
         """Write the state to the file; on an error the previous file stays."""

@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from mistray.analyses.optimize.request import STEPS
 from mistray.analyses.optimize.search.nlopt import ALGORITHMS
+from mistray.cache import file_fingerprint
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
 from mistray.ranges import (
@@ -30,6 +33,7 @@ from mistray.ranges import (
     Words,
     check_fields,
 )
+from mistray.scene.xml_file import possible_names
 from mistray.toolkit.fields import Request, field, field_of
 
 LIMITED = ("at_least", "at_most")  # goals
@@ -368,10 +372,14 @@ class DesignStudy:
         """
         Hash (SHA-256, hexadecimal) of all settings that must agree to resume a search.
 
-        The name of the study, and steps, searches, tolerance and patience of the optimizer may differ.
+        The name of the study, and steps, searches, tolerance and patience of the optimizer may differ. Files of the
+        materials of layers must have the same content.
         """
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
+        materials = {layer.material for group in self.coatings for layer in group.start.layers}
+        files = {Path(name) for material in materials for name in possible_names(material) if os.path.isfile(name)}
+        content["files"] = [file_fingerprint(path) for path in sorted(files)]
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
 
 
