@@ -341,12 +341,15 @@ def whole_face(surface: Surface) -> tuple[Surface, Surface | None]:
     if surface.semi_diameter is not None or isinstance(surface, Detector):
         return surface, None
     clear = surface.outline or rectangle(surface.half_width or 0.0, surface.half_height or 0.0)
-    reach = max((figure.reach for figure in clear.figures if figure.sign == "+"), default=surface.outer_radius)
     first, *more = clear.figures
+    if first.sign == "&":  # of the whole plane
+        first = replace(first, sign="+")
+        clear = Outline((first, *more))
+    reach = max((figure.reach for figure in clear.figures if figure.sign == "+"), default=surface.outer_radius)
     end = conic_end(surface.curvature, surface.conic)
     radius = min(_AROUND * reach, 0.5 * (reach + end))
     if more and more[0].sign == "&" and first == circle(first.sizes[0]).figures[0]:  # cut at this circle
-        clear = Outline((replace(more[0], sign="+"), *(figure for figure in more[1:] if figure.sign != "&")))
+        clear = Outline((replace(more[0], sign="+"), *(f for f in more[1:] if f != replace(first, sign="&"))))
         radius = reach = first.sizes[0]
     x0, x1, y0, y1 = clear.bounds()
     rest = clear.around(reach) if max(abs(x0 + x1), abs(y0 + y1)) <= _TOLERANCE_MM * (1 + reach) else None

@@ -10,7 +10,19 @@ import pytest
 from refusals import each_refused
 
 from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface, trace
-from mistray.prescription import Stop, barrel, circle, detector_frame, fresnel, lens_edge, rectangle, wall
+from mistray.prescription import (
+    Outline,
+    OutlineFigure,
+    Stop,
+    barrel,
+    circle,
+    detector_frame,
+    fresnel,
+    lens_edge,
+    rectangle,
+    wall,
+)
+from mistray.prescription.geometry import whole_face
 
 
 def profile(pieces):
@@ -184,6 +196,10 @@ def test_a_barrel_blackens_faces_around_their_outlines():
     faces = barrel([front, rear, third, plano("L2_rear", 12.0, 5.0, front="1.5", part="L2")])
     rests = {face.name: face for face in faces if isinstance(face, Surface)}
     assert list(rests) == ["L1_front_aperture", "L2_front_aperture"]
+    both = Outline((OutlineFigure("rectangle", "&", sizes=(4.0, 3.0)),))
+    assert whole_face(replace(front, half_width=None, half_height=None, outline=both))[1] == rests["L1_front_aperture"]
+    cut = Outline((*rectangle(6.0, 2.0).figures, OutlineFigure("circle", "&", sizes=(5.5,)))).within(6.5)
+    assert whole_face(replace(third, outline=cut))[0].outline == cut  # which no figures around it express
     rest = rests["L1_front_aperture"]
     assert (rest.radius, rest.coating, rest.back) == (50, Coating(R=0.0), "1.5")
     inside = rest.outline.contains(np.array([3.9, 4.1, 0.0, 0.0, 4.1]), np.array([0.0, 0.0, 2.9, 3.1, 3.1]))

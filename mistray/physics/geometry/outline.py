@@ -145,6 +145,21 @@ class OutlineFigure:
         u, v = points.T
         return np.stack([self.x + c * u - s * v, self.y + s * u + c * v], axis=1)
 
+    def crossed(self, y: np.ndarray) -> np.ndarray:
+        """Return the x, (n, k), mm, at which lines along x at given y, (n,), mm, cross the border; NaN for none."""
+        if self.kind in ("circle", "ellipse"):
+            a, b = self.sizes if len(self.sizes) == 2 else 2 * self.sizes
+            c, s, up = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg)), y - self.y
+            # (u/a)² + (v/b)² = 1 with u = c X + s Y, v = c Y - s X
+            square, half = (c / a) ** 2 + (s / b) ** 2, c * s * up * (1 / a**2 - 1 / b**2)
+            with np.errstate(invalid="ignore"):
+                root = np.sqrt(half**2 - square * (((s / a) ** 2 + (c / b) ** 2) * up**2 - 1))
+            return np.stack([self.x - (half + root) / square, self.x - (half - root) / square], axis=1)
+        start = self.placed(self.corners)
+        (x0, y0), (x1, y1) = start.T, np.roll(start, -1, axis=0).T
+        crosses = (y0 <= y[:, None]) != (y1 <= y[:, None])
+        return np.where(crosses, x0 + (y[:, None] - y0) / np.where(y1 == y0, 1.0, y1 - y0) * (x1 - x0), np.nan)
+
     def contains(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
         """
         Return a mask of points x, y, mm, that lie in the figure.

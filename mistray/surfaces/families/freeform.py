@@ -29,7 +29,7 @@ MARGIN = 1e-3  # margin of bounds, in units of the extent
 SLAB = 2e-3  # margin of the kernel's slab on each side, in units of the size
 SAMPLES = 96  # samples of a line, between which the host looks for crossings
 MOST_CROSSINGS = 6
-PARTS = 16  # subdivisions of a patch in each direction, for its area
+PARTS, ROWS = 16, 64  # subdivisions of a patch along x and along y, for its area
 
 
 @dataclass(kw_only=True)
@@ -197,11 +197,17 @@ class Freeform(TracedSurface):
         return 0.5 + 0.5 * q[:, 0] / self.half[0], 0.5 + 0.5 * q[:, 1] / self.half[1]
 
     def areas(self, first: int, second: int) -> np.ndarray:
-        a, b = ((np.arange(count * PARTS) + 0.5) / (count * PARTS) for count in (first, second))
-        x, y = np.meshgrid(self.half[0] * (2 * a - 1), self.half[1] * (2 * b - 1), indexing="ij")
-        area = np.where(self.outline.contains(x, y), self._stretch(x, y), 0.0)
-        cell = 4 * self.half[0] * self.half[1] / (first * second * PARTS**2)
-        return np.asarray(cell * area.reshape(first, PARTS, second, PARTS).sum(axis=(1, 3)))
+        width, height = self.half
+        y = height * (2 * (np.arange(second * ROWS) + 0.5) / (second * ROWS) - 1)
+        steps = np.tile(np.linspace(-width, width, first * PARTS + 1), (len(y), 1))
+        borders = np.concatenate([figure.crossed(y) for figure in self.outline.figures], axis=1)
+        x = np.sort(np.concatenate([steps, np.clip(np.nan_to_num(borders), -width, width)], axis=1), axis=1)
+        middle, row = 0.5 * (x[:, 1:] + x[:, :-1]), np.broadcast_to(y[:, None], (len(y), x.shape[1] - 1))
+        area = np.diff(x, axis=1) * np.where(self.outline.contains(middle, row), self._stretch(middle, row), 0.0)
+        column = np.clip((first * (0.5 + 0.5 * middle / width)).astype(int), 0, first - 1)
+        found = np.zeros((first, second))
+        np.add.at(found, (column, np.repeat(np.arange(second), ROWS)[:, None]), area)
+        return found * 2 * height / len(y)
 
     def hull(self, polygon: np.ndarray) -> np.ndarray:
         corners = np.array([[x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0)]) * self.half
