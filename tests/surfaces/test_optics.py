@@ -15,6 +15,7 @@ from refusals import each_refused
 
 import mistray
 from mistray.coatings import CoatingTable, Ideal, Layer, Stack
+from mistray.gradients.coating_gradient import layer_row_derivatives, row_derivatives
 from mistray.kernel.interaction import interact
 from mistray.mechanics.ply import ply_bytes
 from mistray.report import main_table
@@ -117,6 +118,21 @@ def test_fixed_shares_are_the_same_up_to_the_critical_angle_and_beyond() -> None
                 found = optics.angle_table(coating, 550.0, *sides, False, False)
                 np.testing.assert_allclose(found.refraction[..., 0], [[0.02, 0.02, 0.97]] * 2, atol=1e-12)
                 np.testing.assert_allclose(found.total[..., 0], [[0.99, 0.99, 0.0]] * 2, atol=1e-12)
+
+
+def test_a_mirror_in_air_has_equal_derivatives_from_both_sides(load_text) -> None:
+    """Its layers face the light; what moves is the thickness and the index of both, and the air of either side."""
+    layers = '<string name="layers" value="1.6+0.05i 172, 0.1+3.6i 20"/><boolean name="opaque" value="true"/>'
+    mirror = f'<bsdf type="interface"><bsdf type="thinfilm">{layers}</bsdf></bsdf>'
+    shape = shape_xml("asphere", "mirror", 5.0, mirror, semi_diameter=3.0)
+    film = shape_xml("asphere", "film", 9.0, sensor=True, semi_diameter=3.0)
+    table = SurfaceTable(load_text(scene_text(shape, film))[0], 550.0)
+    surface, used = table.ids.index("mirror"), np.array([40, 100, 200])
+    (by_layers,) = layer_row_derivatives(table.optics, [(surface, used, ["thickness_nm", "n_shift"])])
+    by_air = [row_derivatives(table.optics, surface, side)[used] for side in (0, 1)]
+    assert np.abs(by_layers).max() > 1e-3 < np.abs(by_air).max()
+    np.testing.assert_allclose(by_layers[:, :, 0], by_layers[:, :, 1], atol=1e-12)
+    np.testing.assert_allclose(by_air[0][:, 0], by_air[1][:, 1], atol=1e-12)
 
 
 def test_a_film_of_a_file_that_changes_is_tabulated_again(tmp_path: Path) -> None:
