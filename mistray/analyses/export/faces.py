@@ -378,12 +378,13 @@ def loops_of(outline: Outline) -> tuple[OutlineFigure, ...] | None:
     first, *more = outline.figures
     if first.sign != "+" or any(figure.sign != "-" for figure in more):
         return None
-    borders = [_border_points(figure) for figure in outline.figures]
+    borders = [_border_points(figure).T for figure in outline.figures]
     near = TOUCHING * first.reach
     for k, hole in enumerate(more, start=1):
-        inside = Outline((first,)).touches(*borders[k].T, -near)
+        x, y = borders[k]
+        inside = Outline((first,)).touches(x, y, -near)
         own = Outline((_added(hole),))
-        apart = [not own.touches(*borders[n].T, near).any() for n in range(len(borders)) if n != k]
+        apart = [not own.touches(x, y, near).any() for x, y in borders[:k] + borders[k + 1 :]]
         if not inside.all() or not all(apart):
             return None
     return outline.figures
