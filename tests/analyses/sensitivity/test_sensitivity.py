@@ -110,6 +110,16 @@ def test_errors_of_the_rows(load_scene) -> None:
     assert np.all(np.mean(errors, axis=0) < 0.5 * np.mean(apart, axis=0))
 
 
+def test_changes_that_exclude_each_other(plate: Any) -> None:
+    """R and T may each grow to what the other leaves, but not both."""
+    metric = mistray.Metric(plate, lambda seen: 1 / seen[0].power("ghost"), settings=SETTINGS)
+    keys = [RS[0], TS[0]]
+    found = sensitivity(metric, keys=keys, change=keys, check=False)
+    assert (found[RS[0]].to_value, found[TS[0]].to_value) == pytest.approx((R + 0.1 * (1 - R), T + 0.5 * (1 - T)))
+    ((row, change),) = found.together.changes
+    assert (row.label, change.value) == (RS[0], found[RS[0]].to_value)
+
+
 def test_a_detector_stays_lit() -> None:
     """With R = 1 it would absorb nothing, which no trace takes: the range ends before."""
     direct = path_power(mistray.load("lens_and_window"), "direct", rays=256)
