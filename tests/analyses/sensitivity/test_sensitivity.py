@@ -135,14 +135,11 @@ def test_what_changes_together(plate: Any) -> None:
     assert lines["index of 1.5"] == {"p0_front.bsdf.n_back_shift", "p0_rear.bsdf.n_front_shift"}
     assert found.draws.ratios == pytest.approx([1.0, 1.0], rel=1e-5)
     camera = mistray.load("plate_and_wall")
-    (row,) = sensitivity(path_power(camera, "stray", rays=500), keys=["housing_face.z"], check=False).rows
-    assert row.label == "housing.z"
-    assert set(row.line.keys) == {"housing_face.z", "housing_wall.z"}
     # Any of its keys stands for the row
-    for one in ("housing_face.z", "housing_wall.z"):
-        how = {"tolerances": {one: 0.3}, "change": [one], "check": False}
-        (row,) = sensitivity(path_power(camera, "stray", rays=500), keys=["housing_face.z"], **how).rows
-        assert (row.tolerance, row.free) == (0.3, True)
+    how = {"tolerances": {"housing_wall.z": 0.3}, "change": ["housing_wall.z"], "check": False}
+    (row,) = sensitivity(path_power(camera, "stray", rays=500), keys=["housing_face.z"], **how).rows
+    assert (row.label, row.tolerance, row.free) == ("housing.z", 0.3, True)
+    assert set(row.line.keys) == {"housing_face.z", "housing_wall.z"}
     # Walls and scatter may be changed; the plate itself, T and the detector may not
     known = parameters(camera)
     free = set(free_keys(camera, known))
