@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analyses.sensitivity.changes import Ranges, single_changes
+from mistray.analyses.sensitivity.changes import ParameterChange, Ranges, best_together, single_changes
 from mistray.analyses.sensitivity.proposals import structure
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
@@ -333,6 +333,29 @@ class LineNumbers:
                 good = (end for end in steps if accepts(params, shifted_values(values, [line], [end]), check))
                 ends[k] = next(good, here)
         return replace(ranges, low=low, high=high)
+
+    def together(
+        self, params: Any, ranges: Ranges, factor: float, check: Callable[[], object]
+    ) -> tuple[ParameterChange, ...]:
+        """
+        Return `best_together` of those changes that the models of a scene accept together.
+
+        Values that are possible alone may be impossible together, such as the level and the slope of dust. The least
+        change without which the others are accepted is left out then, and the best of all but it are sought. The
+        arguments are those of `accepted`.
+        """
+
+        def fit(changes: Sequence[ParameterChange]) -> bool:
+            lines = [self.lines[change.number] for change in changes]
+            values = shifted_values(whole_values(params, lines), lines, [change.value for change in changes])
+            return accepts(params, values, check)
+
+        while (found := best_together(ranges, factor)) and not fit(found):
+            without = (one for one in reversed(found) if fit([other for other in found if other is not one]))
+            held = np.arange(len(self.lines)) == next(without, found[-1]).number
+            low, high = (np.where(held, ranges.value, ends) for ends in (ranges.low, ranges.high))
+            ranges = replace(ranges, low=low, high=high)
+        return found
 
     def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[SensitivityRow]:
         """

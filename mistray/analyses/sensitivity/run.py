@@ -11,7 +11,6 @@ from typing import Any
 import mitsuba as mi
 
 from mistray._mitsuba_compat import holds_numbers, peek
-from mistray.analyses.sensitivity.changes import best_together
 from mistray.analyses.sensitivity.draws import LEAST_SYSTEMS, draw_systems
 from mistray.analyses.sensitivity.finished import Finished, signature_of
 from mistray.analyses.sensitivity.in_time import gradient_in_time
@@ -143,7 +142,7 @@ def run(
     spread = propagate([row.label for row in rows], table.change_batches, groups)
     shares = {item.members[0]: item.share for item in spread.contributions if len(item.members) == 1}
     rows = [replace(row, share=shares.get(row.label)) for row in rows]
-    best = best_together(reachable, request.factor)
+    best = table.together(given, reachable, request.factor, traceable)
     changes = tuple((rows[change.number], change) for change in best)
     proposal = Together(changes, math.prod(change.factor for change in best), any(change.reached for change in best))
     if request.check and changes:
