@@ -210,8 +210,8 @@ class AllCells:
 
     @property
     def found(self) -> FoundByCell:
-        """Paths so far, PST_normal per unit weight of a start ray, and numbers of start rays, see `CellSums.found`."""
-        return self.total.found(self.unit, self.paths, self.unscattered)
+        """Paths so far, and PST_normal per unit weight of a start ray, see `CellSums.found`."""
+        return self.total.found(self.unit, self.paths)
 
     @property
     def by_pixel(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from mistray.recorders.tallies import CUTS, SEGMENTS
 from mistray.settings import BATCHES
 
 PATHS = "path_"  # prefix of the names of saved arrays of the paths
-FoundByCell = tuple[PathsByCell, np.ndarray, np.ndarray]  # result of `CellSums.found`
+FoundByCell = tuple[PathsByCell, np.ndarray]  # result of `CellSums.found`
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,15 +78,9 @@ class CellSums(Sums):
             rays = rays * (1 + unscattered.reshape(*unit.shape, 1))
         return np.stack([of_ray * weight, of_ray**2 * np.maximum(squares - weight**2 / rays, 0)])
 
-    def found(self, unit: np.ndarray, paths: PathsByCell, unscattered: np.ndarray | None = None) -> FoundByCell:
-        """
-        Return paths, PST_normal per unit weight of a start ray, (c,), and numbers of start rays, (2, c), by cell.
-
-        The latter are those for unscattered light and for scattered light. `unscattered` is that of `by_pixel`: these
-        rays carry all unscattered light.
-        """
-        rays = np.broadcast_to(self.rays.sum(axis=-1), unit.shape).ravel()
-        return paths, self.of_ray(unit).ravel(), np.stack([rays if unscattered is None else rays * unscattered, rays])
+    def found(self, unit: np.ndarray, paths: PathsByCell) -> FoundByCell:
+        """Return paths, and PST_normal per unit weight of a start ray by cell, (c,)."""
+        return paths, self.of_ray(unit).ravel()
 
     def arrays(self, paths: PathsByCell) -> dict[str, np.ndarray]:
         """Return the sums and `paths`, which may still be in device memory, as named arrays to be saved."""

@@ -30,6 +30,8 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
 
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20  # largest sizes of the tables of paths, and of their sums by cell
+# Slots for sums: per slot of a path (scenes of 4 to 21 cells had 1 to 3 sums of a path), and in each cell at least
+SUMS_OF_PATH, SUMS_OF_CELL = 2, 256
 # Slots per start ray, and the fewest: 1e4 rays have found up to 2400 paths; setting a table of all to zero takes 0.13 s
 SLOTS_OF_RAY, FEWEST_SLOTS = 2, 1 << 14
 
@@ -153,9 +155,10 @@ class GridTrace:
     def new_paths(self) -> PathSums:
         """Return an empty table of paths and their sums by cell, in device memory."""
         slots = max(FEWEST_SLOTS, 1 << int(SLOTS_OF_RAY * self.settings.rays - 1).bit_length())
-        paths = min(slots, PATH_SLOTS)
-        entries = paths * ENTRY_SLOTS // PATH_SLOTS
-        return PathSums(paths, entries, self.settings.max_events, int(np.prod(self.grid.shape)))
+        paths, cells = min(slots, PATH_SLOTS), int(np.prod(self.grid.shape))
+        # An entry takes 264 bytes
+        entries = max(SUMS_OF_PATH * paths, 1 << int(SUMS_OF_CELL * cells - 1).bit_length())
+        return PathSums(paths, min(entries, ENTRY_SLOTS), self.settings.max_events, cells)
 
     def maps(self, found: np.ndarray) -> np.ndarray:
         """Return maps of PST_normal and its standard error, (2, n, m, rows, columns), from `CellSums.by_pixel`."""

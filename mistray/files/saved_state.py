@@ -18,7 +18,7 @@ from mistray.files.arrays import check_arrays
 from mistray.read_file import open_input
 from mistray.replace_file import replace_file
 
-FORM = 6  # version of the content
+FORM = 7  # version of the content
 _FACTS, _ARRAY = "facts", "array_"  # entries of the file; the prefix separates names of arrays from all others
 _DAMAGES = (
     *(ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError, RecursionError),

@@ -198,7 +198,7 @@ class SkyRecorder(Recorder):
             for k, value in enumerate((w, w * w)):
                 dr.scatter_reduce(dr.ReduceOp.Add, self._maps, value, place + k, active, REDUCE)
         if self.paths is not None:
-            self.paths.record(end.key, end.depth + 1, end.event, cell, weight, active)
+            self.paths.record(end.key, end.depth + 1, end.event, cell, end.start.batch, weight, active)
 
     def read(self) -> dict[str, Any]:
         """

@@ -11,10 +11,11 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.recorders.ledger import claim, read_lists, write_list
 from mistray.recorders.path_key import MULTIPLIER, joined_lists
+from mistray.settings import BATCHES
 
 # Most slots that are probed: a path that finds none is not listed
 MOST_PROBES = 24
-HIT_SUMS = 3  # sums of a path in a cell: hits, weight, squared weight
+REDUCE = dr.ReduceMode.Local  # by its own choice Dr.Jit writes the size of a small array into the kernel
 
 
 class PathsByCell(dict[str, np.ndarray]):
@@ -23,8 +24,8 @@ class PathsByCell(dict[str, np.ndarray]):
 
     The keys ``events``, (p, k) uint32, and ``lengths``, (p,), hold the event lists of p paths, in the order in which
     rays meet the events. The other keys hold e entries, (e,), one for each path and cell with hits. They are ``path``
-    and ``cell``, indices; ``hits``, the number of rays; ``weight``, the sum of their throughput in units of a start
-    ray's flux; and ``squares``, the sum of its squares.
+    and ``cell``, indices; ``hits``, the number of rays; and ``weight``, (e, BATCHES), the sums of their throughput by
+    batch of start rays, in units of a start ray's flux.
     """
 
     def __add__(self, other: PathsByCell) -> PathsByCell:
@@ -36,10 +37,12 @@ class PathsByCell(dict[str, np.ndarray]):
         path = place[np.concatenate([self["path"], other["path"] + len(self["lengths"])])]
         cell = np.concatenate([self["cell"], other["cell"]])
         pairs, place = np.unique(np.stack([path, cell], axis=1), axis=0, return_inverse=True)
-        sums = {
-            name: np.bincount(place.ravel(), np.concatenate([self[name], other[name]]), len(pairs))
-            for name in ("hits", "weight", "squares")
-        }
+        sums = {}
+        for name in ("hits", "weight"):
+            # A table holds an entry once
+            sums[name] = np.zeros((len(pairs), *self[name].shape[1:]))
+            sums[name][place.ravel()[: len(self["path"])]] = self[name]
+            sums[name][place.ravel()[len(self["path"]) :]] += other[name]
         return PathsByCell(events=events, lengths=lengths, path=pairs[:, 0], cell=pairs[:, 1], **sums)
 
 
@@ -76,8 +79,9 @@ class PathSums:
         self.lengths = dr.zeros(mi.UInt32, paths)
         self.events = dr.zeros(mi.UInt32, paths * max_events)
         self.entries = dr.zeros(mi.UInt32, entries)
-        self.sums = dr.zeros(mi.Float64, entries * HIT_SUMS)
-        dr.make_opaque(self.keys, self.lengths, self.events, self.entries, self.sums)
+        self.hits = dr.zeros(mi.Float64, entries)
+        self.sums = dr.zeros(mi.Float64, entries * BATCHES)
+        dr.make_opaque(self.keys, self.lengths, self.events, self.entries, self.hits, self.sums)
 
     def record(
         self,
@@ -85,11 +89,12 @@ class PathSums:
         length: mi.UInt32,
         read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
         cell: mi.UInt32,
+        batch: mi.UInt32,
         weight: mi.Float,
         active: mi.Bool,
     ) -> None:
         """
-        Add rays' `weight`, see `PathsByCell`, to the sums of their paths and cells.
+        Add rays' `weight`, see `PathsByCell`, to the sums of their paths, cells and batches of start rays.
 
         Rays that find no slot are left out. `key` identifies each path, and `read(k, mask)` returns its event
         k < `length`.
@@ -104,9 +109,10 @@ class PathSums:
         number = slot * self._row + cell + 1
         start = mi.UInt32((mi.UInt64(number) * mi.UInt64(MULTIPLIER)) >> 32) & self._entry_mask
         entry, found, _ = claim(self.entries, number, start, self._entry_mask, MOST_PROBES, found)
-        w = mi.Float64(weight)
-        for k, value in enumerate((mi.Float64(1), w, w * w)):
-            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, value, entry * HIT_SUMS + k, found)
+        # By batch, since one start ray may bring several rays of a path: they are not independent
+        place = entry * BATCHES + batch
+        dr.scatter_reduce(dr.ReduceOp.Add, self.hits, mi.Float64(1), entry, found, REDUCE)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(weight), place, found, REDUCE)
 
     def read(self) -> PathsByCell:
         """Return the paths and their sums by cell on the host; `MistrayError` if a list does not match its key."""
@@ -117,13 +123,11 @@ class PathSums:
         number = entries[used].astype(np.int64) - 1
         place = np.zeros(len(self.keys), dtype=np.int64)
         place[slots] = np.arange(len(slots))
-        hits, weight, squares = np.array(self.sums).reshape(-1, HIT_SUMS)[used].T
         return PathsByCell(
             events=events,
             lengths=lengths,
             path=place[number // self.cells],
             cell=number % self.cells,
-            hits=hits,
-            weight=weight,
-            squares=squares,
+            hits=self.hits.numpy()[used],
+            weight=self.sums.numpy().reshape(-1, BATCHES)[used],
         )

@@ -335,7 +335,7 @@ def test_light_beside_the_pupil_and_the_pupil_of_a_source():
     [
         ("DoubleGauss", 0.0, "pupil", {"stop_front.r1": (0.1,), "S3.curvature": (3e-4,)}),
         ("DoubleGauss", 0.0, "exact", {"stop_front.r1": (0.1, 0.05), "S3.curvature": (5e-4, 2e-4), "S1.x": (0.2, 0.1)}),
-        ("CookeTriplet", 20.0, "exact", {"S4.semi_diameter": (0.01, 0.005), "S2.curvature": (5e-4, 2e-4)}),
+        ("CookeTriplet", 20.0, "exact", {"L2_flange_2.r0": (0.01, 0.005), "S2.curvature": (5e-4, 2e-4)}),
     ],
 )
 def test_derivatives_of_an_imported_lens(name, field_deg, beam, steps):

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.events import ABSORBED, FIRST_SCATTERED, event_of, kind_of
+from mistray.events import ABSORBED, event_of
 from mistray.execute.cell_sums import FoundByCell
 from mistray.execute.grid_trace import GridTrace
 from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.path_key import joined_lists
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,7 +41,7 @@ def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tu
 @dataclass(frozen=True)
 class FoundPaths:
     """
-    PST_normal by path and cell of directions, with its variance and the number of rays.
+    PST_normal by path and cell of directions, by batch, and the number of rays.
 
     Attributes
     ----------
@@ -52,8 +54,8 @@ class FoundPaths:
         Pairs of a path and a cell of directions.
     hits : (2, p) float64
         Numbers of forward and of backward rays that found them.
-    value, variance : (p,) float64
-        PST_normal of each pair and its variance, as if all hits were independent.
+    by_batch : (p, BATCHES) float64
+        Contributions of the batches of start rays to the PST_normal of each pair.
     """
 
     trace: GridTrace
@@ -62,8 +64,7 @@ class FoundPaths:
     path: np.ndarray
     cell: np.ndarray
     hits: np.ndarray
-    value: np.ndarray
-    variance: np.ndarray
+    by_batch: np.ndarray
 
     @classmethod
     def of(cls, trace: GridTrace, along: FoundByCell | None, against: FoundByCell | None = None) -> FoundPaths:
@@ -75,36 +76,37 @@ class FoundPaths:
         trace : GridTrace
             Either of their traces.
         along, against : tuple or None
-            Result of `found` of `AllCells` and of `CellSums`: path table of forward and of backward rays, PST_normal
-            per unit weight of a start ray, (c,), and start rays, (2, c), by cell; None: there are no such rays.
+            Result of `found` of `AllCells` and of `CellSums`: path table of forward and of backward rays, and
+            PST_normal per unit weight of a start ray by cell, (c,); None: there are no such rays.
         """
-        tables: list[tuple[int, dict[str, np.ndarray], np.ndarray, np.ndarray]] = []
+        tables: list[tuple[int, dict[str, np.ndarray], np.ndarray]] = []
         if along is not None and along[0]:
             tables.append((0, *along))
         if against is not None and against[0]:
-            reverse, unit, rays = against
+            reverse, unit = against
             events, lengths = forward_events(reverse["events"], reverse["lengths"], trace.table.detector)
-            tables.append((1, {**reverse, "events": events, "lengths": lengths}, unit, rays))
+            tables.append((1, {**reverse, "events": events, "lengths": lengths}, unit))
         # Unique paths, and unique pairs of a path and a cell
-        events, lengths, place = joined_lists(*((table["events"], table["lengths"]) for _, table, *_ in tables))
-        first = np.cumsum([0, *(len(table["lengths"]) for _, table, *_ in tables)])
+        events, lengths, place = joined_lists(*((table["events"], table["lengths"]) for _, table, _ in tables))
+        first = np.cumsum([0, *(len(table["lengths"]) for _, table, _ in tables)])
         cells = int(np.prod(trace.grid.shape))
         pairs = [
             place[table["path"] + low] * cells + table["cell"]
-            for (_, table, *_), low in zip(tables, first[:-1], strict=True)
+            for (_, table, _), low in zip(tables, first[:-1], strict=True)
         ]
         known, number = np.unique(np.concatenate(pairs), return_inverse=True)
         numbers = np.split(number, np.cumsum([len(one) for one in pairs])[:-1])
         # Values of both directions add up: they are weighted by MIS
-        hits, value, variance = np.zeros((2, len(known))), np.zeros(len(known)), np.zeros(len(known))
-        for (k, table, unit, count), at in zip(tables, numbers, strict=True):
-            scattered = (kind_of(table["events"]) >= FIRST_SCATTERED).any(axis=1)
-            scale = unit[table["cell"]]
-            started = np.maximum(count[scattered[table["path"]].astype(np.int64), table["cell"]], 1)
+        hits, by_batch = np.zeros((2, len(known))), np.zeros((len(known), BATCHES))
+        for (k, table, unit), at in zip(tables, numbers, strict=True):
             hits[k][at] = table["hits"]
-            value[at] += scale * table["weight"]
-            variance[at] += scale**2 * np.maximum(table["squares"] - table["weight"] ** 2 / started, 0)
-        return cls(trace, events, lengths, known // cells, known % cells, hits, value, variance)
+            by_batch[at] += unit[table["cell"], None] * table["weight"]
+        return cls(trace, events, lengths, known // cells, known % cells, hits, by_batch)
+
+    @property
+    def value(self) -> np.ndarray:
+        """PST_normal of each pair of a path and a cell, (p,)."""
+        return np.asarray(self.by_batch.sum(axis=1))
 
     def _describe(self, paths: np.ndarray) -> dict[str, np.ndarray]:
         """Return the name, text and kind of some paths, given by index, as the columns of `describe_events`."""
@@ -119,10 +121,11 @@ class FoundPaths:
         its cell. Keys: angle_deg, azimuth_deg, events, seen ("forward" or "backward"), rays, pst_normal.
         """
         grid = self.trace.grid
-        light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
+        value = self.value
+        light = np.bincount(self.cell, value, int(np.prod(grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)
-        listed = np.flatnonzero(alone & (self.value > LEAST_REPORTED * light[self.cell]))
-        listed = listed[np.argsort(-(self.value / light[self.cell])[listed], kind="stable")][:ONE_SIDED_LISTED]
+        listed = np.flatnonzero(alone & (value > LEAST_REPORTED * light[self.cell]))
+        listed = listed[np.argsort(-(value / light[self.cell])[listed], kind="stable")][:ONE_SIDED_LISTED]
         facts = self._describe(self.path[listed])
         angle, azimuth = np.divmod(self.cell[listed], grid.shape[1])
         columns = {
@@ -131,7 +134,7 @@ class FoundPaths:
             "events": facts["events"],
             "seen": np.where(self.hits[0][listed] > 0, "forward", "backward"),
             "rays": self.hits.max(axis=0)[listed].astype(np.int64),
-            "pst_normal": self.value[listed],
+            "pst_normal": value[listed],
         }
         rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
         return [dict(zip(columns, row, strict=True)) for row in rows]
@@ -146,8 +149,7 @@ class FoundPaths:
         columns: dict[str, Any] = {"cell": self.cell[kept] // m, "azimuth_cell": self.cell[kept] % m}
         columns |= {name: values[place] for name, values in self._describe(used).items()}
         columns["rays"] = self.hits.sum(axis=0)[kept].astype(np.int64)
-        columns["pst_normal"] = self.value[kept]
-        columns["pst_normal_se"] = np.sqrt(self.variance[kept])
+        columns["pst_normal"], columns["pst_normal_se"] = Sampled.of(self.by_batch[kept], np.ones(BATCHES)).with_se
         return pd.DataFrame(columns)
 
 

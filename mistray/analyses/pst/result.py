@@ -78,8 +78,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         the errors of the errors.
     path_rows : DataFrame, optional
         Paths by cell: columns cell (index of the field angle), azimuth_cell, events, path, order, kind, ghost_1,
-        ghost_2, scatter_1, scatters, structure_bounces, tir, rays, pst_normal, pst_normal_se. Hits count as
-        independent in the last.
+        ghost_2, scatter_1, scatters, structure_bounces, tir, rays, pst_normal, pst_normal_se.
     maps : (2, n, m, h, w) float64, optional
         PST_normal of each pixel of the detector, h rows by w columns, and its standard error, dimensionless.
     extent_mm : tuple of four float
