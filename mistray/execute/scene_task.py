@@ -69,10 +69,14 @@ def kernel_arrays(table: SurfaceTable, scattering: Scattering | None = None) -> 
     """Return the arrays of geometry, coatings, media and, if given, scatter that the kernel reads at one wavelength."""
     optics = table.optics
     geometry = table.quadric, table.vertex, table.polynomial, table.rotation, table.clip
+    bounds = [{"size": piece.size, **piece.kernel_values()} for piece in table.pieces]
+    names = dict.fromkeys(name for row in bounds for name, value in row.items() if not isinstance(value, tuple))
     arrays = [optics.words, optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
     arrays += scattering.arrays if scattering is not None else ()
     # A row for each surface: its numbers are of different units and sizes
-    return [np.array(values).reshape(table.count, -1) for values in geometry] + [np.array(values) for values in arrays]
+    rows = [np.array([[row.get(name, 0.0) for name in names] for row in bounds], dtype=np.float64)]
+    rows += [np.array(values).reshape(table.count, -1) for values in geometry]
+    return rows + [np.array(values) for values in arrays]
 
 
 def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:

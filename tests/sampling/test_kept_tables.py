@@ -13,7 +13,7 @@ import scene_dicts
 from oracles.small_scenes import interface_xml, shape_xml, write
 
 import mistray
-from mistray.execute.scene_task import kernel_arrays
+from mistray.execute.scene_task import fingerprint, kernel_arrays
 from mistray.execute.tracer import Run, prepare
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
@@ -91,11 +91,12 @@ def test_each_kind_of_change_is_seen(load_scene: Any, polarization: str) -> None
     for key, value in CHANGES.items():
         before = prepared(scene, polarization=polarization)
         assert prepared(scene, 3.0, polarization=polarization).table.optics is before.table.optics
-        old = of_run(before)
+        old, state = of_run(before), fingerprint([(before.table, before.scattering)])
         params[key] = value
         params.update()
         after = prepared(scene, polarization=polarization)
         assert not alike(old, of_run(after)), key
+        assert state != fingerprint([(after.table, after.scattering)]), f"{key}: a saved run would go on with it"
         assert alike(of_run(after), made_anew(scene, after)), key
         assert after.scattering.tables.all_cases[0].rows.any()
 
