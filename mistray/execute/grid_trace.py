@@ -31,7 +31,7 @@ from mistray.surfaces.thin_gaps import thin_gaps
 
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20  # largest sizes of the tables of paths, and of their sums by cell
 # Slots for sums: per slot of a path (scenes of 4 to 21 cells had 1 to 3 sums of a path), and in each cell at least
-SUMS_OF_PATH, SUMS_OF_CELL = 2, 256
+SUMS_OF_PATH, SUMS_OF_CELL = 4, 256
 # Slots per start ray, and the fewest: 1e4 rays have found up to 2400 paths; setting a table of all to zero takes 0.13 s
 SLOTS_OF_RAY, FEWEST_SLOTS = 2, 1 << 14
 

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from mistray.errors import MistrayError
 
@@ -288,6 +287,8 @@ class BsdfSamples:
         New values follow a monotone cubic over the azimuth, even about the plane of incidence where one side was
         measured.
         """
+        from scipy.interpolate import PchipInterpolator  # slow to import
+
         parts = np.maximum(np.ceil(np.diff(self.azimuth_deg) / step_deg - 1e-6).astype(int), 1)
         if np.all(parts == 1):
             return self
