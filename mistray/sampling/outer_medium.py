@@ -48,7 +48,11 @@ def closed_media(table: SurfaceTable, outside: str) -> mi.Bool | None:
 
 
 def _first_declared(table: SurfaceTable, scene: mi.Scene) -> int:
-    """Return the position in `Optics.media` of the medium before the first refracting surface of the design path."""
+    """
+    Return the position in `Optics.media` of the medium before the first refracting surface of the design path.
+
+    It is 0, unknown, if that medium absorbs or scatters, without a design path, and if none of its surfaces refracts.
+    """
     path, optics = find_design_path(table, scene), table.optics
     for step in path.steps[:-1] if path is not None else ():
         if not step.reflects:

@@ -82,7 +82,16 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
         return len(self._rays)
 
     def __getitem__(self, numbers: int | slice | Sequence[int]) -> RayHistory:
-        """Return a ray history of only those rays that an index, a slice or several indices select."""
+        """
+        Return a ray history of only those rays that an index, a slice or several indices select.
+
+        Raises
+        ------
+        IndexError
+            If there is no ray of an index.
+        MistrayError
+            If an index is not a whole number.
+        """
         if isinstance(numbers, slice):
             return RayHistory(self._run, self._rays[numbers])
         found = []

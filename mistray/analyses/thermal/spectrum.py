@@ -191,7 +191,12 @@ def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
 
 
 def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
-    """Return lengths of ray segments, (2, m) mm, in the bodies in front of and behind each surface, by its id."""
+    """
+    Return sample lengths of rays, (2, m) mm, in the bodies in front of and behind each surface, by its id.
+
+    They are `LENGTHS` times the least thickness of the body, at most the size of the scene; on an open side they are
+    `OPEN_LENGTHS` times that size.
+    """
     table = SurfaceTable(scene, wavelength_nm)
     found = {}
     for number, name in enumerate(table.ids):

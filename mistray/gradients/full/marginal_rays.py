@@ -163,8 +163,8 @@ class MarginalRays:
         Returns
         -------
         (n,) bool
-            Whether light continues from the end of each ray: it does not from a black surface, nor outside the scene.
-            From trapped rays it does.
+            Whether the light at the end of each ray counts: at a detector, even a black one, and at surfaces that
+            scatter or reflect part of it, but not at other black surfaces nor outside the scene. Trapped light counts.
         """
         alive, lit, here = np.arange(len(rays.o)), np.zeros(len(rays.o), dtype=bool), rays
         legs, lengths, numbers, origins, way = [], [], [], [], rays.way
