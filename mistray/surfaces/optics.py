@@ -553,10 +553,11 @@ class Optics:
         `medium` is a position in `media`, and `length` that of the segments, mm. All fluxes have the unit of `flux`.
         """
         depth = dr.gather(mi.Float, self.extinction, medium, active) * dr.select(active, length, 0)
-        left = flux * dr.exp(-depth)
+        left, shallow = flux * dr.exp(-depth), depth < SHALLOW
         # A difference would round away what a thin medium takes, a fifth of it at a depth of 1e-7
         series = depth * dr.fma(-depth, 1 / 2 - depth * (1 / 6 - depth / 24), 1)
-        taken, clouded = dr.select(depth < SHALLOW, flux * series, flux - left), mi.Float(0)
+        taken, clouded = dr.select(shallow, flux * series, flux - left), mi.Float(0)
+        left = dr.select(shallow, flux - taken, left)
         if self.scatters:
             clouded = taken * dr.gather(mi.Float, self.albedo, medium, active)
             taken = taken - clouded

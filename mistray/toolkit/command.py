@@ -177,12 +177,3 @@ class AnalysisCommand(Command):
 
     request: str = field(kw_only=True)
     shown: str = field(default="", kw_only=True)
-
-
-def angles(name: str, help: str, within: Any = None) -> Option:
-    """
-    Return an option that takes angles in degrees and ranges of them, all in one list.
-
-    `within` is their allowed range; with a range in nm they are wavelengths instead.
-    """
-    return Option(name, help, Angles(within) if within else Angles(), "DEG", "+")

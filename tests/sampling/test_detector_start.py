@@ -408,13 +408,17 @@ def single_scatter(angle_deg: float, half: float, g: float = ASYMMETRY) -> float
     ("angle_deg", "half", "g"), [(40.0, 0.3, 0.5), (73.0, 0.05, 0.5), *((40.0, 0.3, g) for g in (-0.9, 0.0, 0.99))]
 )
 def test_a_small_detector_beside_the_beam(splitting: str, angle_deg: float, half: float, g: float) -> None:
-    """The closed form within 3.5 standard errors of at most 5 %; false alarm 5e-4 each. Unaimed it is 0 ± 0."""
+    """
+    The closed form within 3.5 standard errors of at most 5 %; false alarm 5e-4 each. Unaimed it is 0 ± 0.
+
+    Throughput is rounded to 2⁻²⁴ where the medium takes some of it, on two segments.
+    """
     expected, haze = single_scatter(angle_deg, half, g), f"scatter={PER_MM} g={g}"
     trace = mistray.trace(mistray.load(block("1.0", angle_deg, half, haze)), rays=20_000, splitting=splitting)
     measured, se = share(trace)
     assert abs(measured - expected) < 3.5 * se
     assert se < 0.05 * expected
-    assert abs(trace.energy.closure) < 1e-9
+    assert abs(trace.energy.closure) < 2**-23
     (row,) = trace.aiming
     assert row.id.startswith("(1.0")
     assert row.landed > 0.2 * row.aimed

@@ -247,7 +247,8 @@ def _numbers(scene: Any, patterns: Iterable[str] | None) -> list[Control]:
     if patterns is not None:
         return [_number(key, (known[key],)) for key in match(known, patterns) if known[key].value.size == 1]
     rims = _apertures(known.values())
-    others = [_number(key, (one,)) for key, one in known.items() if _is_offered(one)]
+    detectors = {shape.id() for shape in scene.shapes() if shape.is_sensor()}
+    others = [_number(key, (one,)) for key, one in known.items() if _is_offered(one, detectors)]
     return [*others, *rims][:MOST]
 
 
@@ -266,17 +267,17 @@ def _apertures(known: Iterable[Parameter]) -> list[Control]:
     return found
 
 
-def _is_offered(one: Parameter) -> bool:
-    """True if a parameter gets a slider by default: R of an opaque detector or an amount of scatter, each nonzero."""
+def _is_offered(one: Parameter, detectors: set[str]) -> bool:
+    """
+    True if a parameter gets a slider of its own by default: nonzero R of an opaque detector, or amount of scatter.
+
+    `detectors` are the ids of the surfaces that are detectors. For rims see `_apertures`.
+    """
     if one.value.size > 1 or not one.value[0]:
         return False
     if one.kind == "share":
-        return one.name == "R" and bool(one.owner.opaque) and _on_detector(one)
+        return one.name == "R" and bool(one.owner.opaque) and not detectors.isdisjoint(one.shapes)
     return one.kind == "scatter" and one.name in AMOUNTS
-
-
-def _on_detector(one: Parameter) -> bool:
-    return any("detector" in name.lower() or "sensor" in name.lower() for name in one.shapes)
 
 
 def _number(name: str, moved: tuple[Parameter, ...]) -> Control:

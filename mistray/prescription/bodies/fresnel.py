@@ -118,10 +118,10 @@ def _edges(
     owner: str, height: Any, semi_diameter: float, groove_mm: float | None, depth_mm: float | None
 ) -> list[float]:
     """
-    Return the ascending radii at which rings begin and end, mm.
+    Return the ascending radii at which rings begin and end, mm, from 0 to the clear radius `semi_diameter`, mm.
 
-    Grooves have equal widths `groove_mm`, or equal depths `depth_mm` if that is None. `height` is a function from radii
-    to the sag of the surface, mm. Raise `MistrayError` if there are too many rings or none.
+    All grooves but the last have equal widths `groove_mm`, or equal depths `depth_mm` if that is None. `height` is a
+    function from radii, mm, to the sag of the surface, mm. Raise `MistrayError` if there are too many rings or none.
     """
     if groove_mm is not None:
         count = math.ceil(semi_diameter / groove_mm * (1 - 1e-12))

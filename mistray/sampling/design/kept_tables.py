@@ -18,6 +18,7 @@ from mistray.cache.remembered import remembered
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
+from mistray.ranges import several
 from mistray.scatter.particulate import DUST, Particulate
 from mistray.surfaces.surfaces import SurfaceTable, interface_of, is_analytic, named_shapes
 
@@ -90,7 +91,7 @@ class KeptTables:
             return first.with_mirrors(mirrors)
 
         indices = [_index(name, wavelength_nm) for name in self._materials]
-        names = detector if isinstance(detector, str | None) else tuple(detector)
+        names = None if detector is None else repr(several(detector))
         found = copy(remembered(self._tables, (wavelength_nm, names, stokes, mirrors, *indices), make))
         found.scene = self._scene
         return found
