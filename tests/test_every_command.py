@@ -239,7 +239,7 @@ CASES = {
             "parameters.0.change_percent": close(10, rel=1e-4),
             "monte_carlo": None,
         },
-        "path power: 0.0064 ",
+        "path power: 6.4e-03 ",
     ),
     "budget": Case(
         "rough.xml budget.toml",
