@@ -102,7 +102,7 @@ def _methods(kind: type) -> Iterator[tuple[str, Callable[..., Any]]]:
 
 
 def _of_call(name: str, function: Any) -> Iterator[tuple[str, set[str]]]:
-    # Requests check their own fields: tests/toolkit/test_every_field.py
+    # Requests check their own fields: tests/toolkit/test_command_request.py
     requested = {field.name for field, _ in flat_fields(function.request)} if hasattr(function, "request") else set()
     for parameter in inspect.signature(function).parameters.values():
         if parameter.annotation is not parameter.empty and parameter.name not in requested:
