@@ -109,7 +109,8 @@ def test_rays_from_the_detector(capsys: Captured) -> None:
     succeeds(capsys, "view", "singlet_window_detector", "--classes", "backward", *few, "--out", "back.html")
     lines = read_rays("rays.json")
     assert len(lines) == 40  # once, not for each field
-    z = float(mistray.load("singlet_window_detector").sensors()[0].get_shape().bbox().min.z)
+    scene = mistray.load("singlet_window_detector")  # Mitsuba's shape goes with it
+    z = float(scene.sensors()[0].get_shape().bbox().min.z)
     through = 0
     for line in lines:
         names = [event.split(":") for event in line.events.split()]
