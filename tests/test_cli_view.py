@@ -120,4 +120,4 @@ def test_rays_from_the_detector(capsys: Captured) -> None:
         assert len(line.points) == len(names) + (1 if swallowed else 2)
         through += not swallowed and names[-1][0] == "L1_front"
     assert through > 0
-    assert Path("back.html").read_text(encoding="utf-8").count('"name":"backward"') == 1
+    assert Path("back.html").read_text(encoding="utf-8").count('"mode":"lines","name":"backward"') == 1
