@@ -736,8 +736,8 @@ def pst(
     >>> stray, error = pst.curve("stray")
     >>> for angle, value, se in zip(pst.field_deg, stray, error):
     ...     print(f"{angle:.0f}°: {value:.1e} ± {se:.0e}")
-    10°: 4.8e-05 ± 9e-07
-    30°: 3.9e-05 ± 6e-07
+    10°: 4.7e-05 ± 1e-06
+    30°: 3.8e-05 ± 5e-07
     """
 
 def study(
