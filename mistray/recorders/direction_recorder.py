@@ -17,15 +17,12 @@ from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
 from mistray.recorders.path_key import COUNT_MASK, NOT_DIFFRACTED
-from mistray.recorders.path_sums import PathSums
+from mistray.recorders.path_sums import REDUCE, PathSums
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload, upload_rows
 
-# By its own choice Dr.Jit gives each thread a copy of a small array, whose size is a literal of the kernel; another
-# number of cells would compile anew
-REDUCE = dr.ReduceMode.Local
 # Classes of the light, in the order of their sums
 CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter", "edge_diffraction")
 CLASS_COUNT = len(CLASSES)

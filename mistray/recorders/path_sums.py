@@ -15,7 +15,9 @@ from mistray.settings import BATCHES
 
 # Most slots that are probed: a path that finds none is not listed
 MOST_PROBES = 24
-REDUCE = dr.ReduceMode.Local  # by its own choice Dr.Jit writes the size of a small array into the kernel
+# By its own choice Dr.Jit gives each thread a copy of a small array, whose size is a literal of the kernel; another
+# number of cells would compile anew
+REDUCE = dr.ReduceMode.Local
 
 
 class PathsByCell(dict[str, np.ndarray]):

@@ -15,10 +15,11 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.design_sequences import DesignKeys
-from mistray.recorders.direction_recorder import REDUCE, DirectionRecorder, MisWeighting, class_of_light
+from mistray.recorders.direction_recorder import DirectionRecorder, MisWeighting, class_of_light
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.importance import ImportanceSums
 from mistray.recorders.path_key import COUNT_MASK, path_class_of
+from mistray.recorders.path_sums import REDUCE
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.upload import upload

@@ -84,7 +84,8 @@ class KeptTables:
         """
 
         def make() -> SurfaceTable:
-            for known in self._tables.values():
+            known = next(iter(self._tables.values()), None)
+            if known is not None:
                 return known.varied(wavelength_nm, detector, stokes, mirrors)
             first = SurfaceTable(self._scene, wavelength_nm, detector, stokes)
             first.scene = None  # nor must what is made of it: the tables go with the shapes of the scene

@@ -264,12 +264,11 @@ class BsdfSamples:
             found.append(sides * float(np.sum(values * solid_angle)))
         return np.array(found)
 
-    def resolved(self, cosine_corrected: bool = False, beyond: str = "hold") -> bool:
+    def resolved(self, beyond: str = "hold") -> bool:
         """
-        Return whether the table resolves the scatter at all incidences.
+        Return whether a table of the BSDF resolves the scatter at all incidences.
 
-        It does if every second polar angle and azimuth gives the `totals`, whose arguments these are, within
-        `RESOLVED`.
+        It does if every second polar angle and azimuth gives the `totals`, with the same `beyond`, within `RESOLVED`.
         """
         counts = self.values.shape[1:]
         if min(counts) < 3:
@@ -277,7 +276,7 @@ class BsdfSamples:
         azimuths, polars = (np.unique([*range(0, count, 2), count - 1]) for count in counts)
         values = self.values[:, azimuths[:, None], polars]
         half = replace(self, azimuth_deg=self.azimuth_deg[azimuths], polar_deg=self.polar_deg[polars], values=values)
-        whole, coarse = (table.totals(cosine_corrected, beyond) for table in (self, half))
+        whole, coarse = (table.totals(beyond=beyond) for table in (self, half))
         return bool(np.all(np.abs(coarse - whole) <= RESOLVED * whole))
 
     def finer(self, step_deg: float) -> BsdfSamples:
@@ -287,11 +286,11 @@ class BsdfSamples:
         New values follow a monotone cubic over the azimuth, even about the plane of incidence where one side was
         measured.
         """
-        from scipy.interpolate import PchipInterpolator  # slow to import
-
         parts = np.maximum(np.ceil(np.diff(self.azimuth_deg) / step_deg - 1e-6).astype(int), 1)
         if np.all(parts == 1):
             return self
+        from scipy.interpolate import PchipInterpolator  # slow to import
+
         azimuth = np.interp(np.arange(parts.sum() + 1), np.append(0, np.cumsum(parts)), self.azimuth_deg)
         nodes, values = self.azimuth_deg, self.values
         if self.whole:

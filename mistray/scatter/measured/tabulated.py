@@ -170,14 +170,14 @@ class Tabulated(Placement):
         smooth lobe differs from a ratio to the profile. Of a peak between coarse angles only the profile tells the
         form.
         """
-        given = self.samples.tables
-        tables = [
+        tables = tuple(
             replace(table, values=table.held(table.bsdf(self.cosine_corrected), table.above(self.cosine_corrected)))
-            for table in given
-        ]
-        normal = given[0].frame == "normal"
-        smooth = normal and all(table.resolved(self.cosine_corrected, self.beyond) for table in given)
-        return tuple(table.finer(AZIMUTH_STEP_DEG) if smooth else table for table in tables)
+            for table in self.samples.tables
+        )
+        coarse = tables[0].frame == "normal" and np.max(np.diff(tables[0].azimuth_deg), initial=0) > AZIMUTH_STEP_DEG
+        if not (coarse and all(table.resolved(self.beyond) for table in tables)):
+            return tables
+        return tuple(table.finer(AZIMUTH_STEP_DEG) for table in tables)
 
     @property
     def _first(self) -> BsdfSamples:
