@@ -413,7 +413,7 @@ class Edges:
         # Part of the events before the hit in the number of the path class
         path_class, none = None, dr.zeros(mi.UInt32, dr.width(row))
         if classed:
-            path_class = mixed_events(partial(near.paths.code, row), none, length - 1, none, whole)
+            path_class = mixed_events(partial(near.paths.event_code, row), none, length - 1, none, whole)
         start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, path_class=path_class, **before)
         place = s * len(RIM_COLUMNS) + rim
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)

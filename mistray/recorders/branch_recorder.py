@@ -241,7 +241,7 @@ class BranchRecorder(Recorder):
         code = dr.reinterpret_array(mi.UInt32, second.w)
         return Node(mi.Vector3f(first.x, first.y, first.z), mi.Vector3f(first.w, second.x, second.y), code)
 
-    def code(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+    def event_code(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Return the code of event `k` of the recorded branches in the given slots, see `mistray.events`."""
         last = (slot * self._stride + k) * NODE_FLOATS + NODE_FLOATS - 1
         return dr.reinterpret_array(mi.UInt32, dr.gather(mi.Float, self.nodes, last, active))

@@ -1,5 +1,6 @@
 """Derivatives of metrics by shares, layers and indices, beside closed forms and differences, also of full traces."""
 
+import gc
 from dataclasses import replace
 from typing import Any
 
@@ -14,8 +15,9 @@ from oracles.statistics import z_limit, z_score
 
 import mistray
 from mistray.metrics.scene_values import changed
-from mistray.optimize import Metric, ghost_to_signal, gradient, groups, image_metric, parameters, path_power
+from mistray.optimize import Metric, ghost_to_signal, gradient, groups, image_metric, parameters, path_power, pst_band
 from mistray.prescription import Coating, Prescription
+from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.sampled import batch_error
 from mistray.scenes.cooke_triplet.prescription import build as build_triplet
 from mistray.scenes.phone_camera.prescription import build as build_phone
@@ -541,3 +543,17 @@ def test_geometry_and_edges(scene: Any, differences: dict[str, tuple[float, floa
         gradient = mistray.gradient(metric, mi.traverse(scene), keys=KEYS, edges=False)
         assert gradient.gradient["stop_front.r1"][0] == 0
         assert all(abs(z) > 2 * LIMIT for z in off(gradient, differences).values())
+
+
+def test_recorded_paths_go_with_their_gradient() -> None:
+    """A search takes thousands of gradients, and the recorded paths of each are megabytes."""
+    scene = mistray.load("plate_and_wall")
+
+    def recorders_after(metric: Metric) -> list[BranchRecorder]:
+        gradient(metric, mi.traverse(scene), keys=["housing_wall.r0", "screen.z", "plate_front.curvature"])
+        gc.collect()
+        return [thing for thing in gc.get_objects() if isinstance(thing, BranchRecorder)]
+
+    before = recorders_after(path_power(scene, "all", rays=256))
+    assert recorders_after(path_power(scene, "all", rays=256)) == before
+    assert recorders_after(pst_band(scene, 20, 80, rays=1000)) == before
