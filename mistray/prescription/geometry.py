@@ -157,8 +157,9 @@ def lens_edge(
         raise MistrayError(f"part '{part}': contact_radii is {shown(contact_radii)}; give two, each a number or None")
     for contact in contacts:
         RADIUS_MM.check_all(f"part '{part}'", contact_radii=contact)
-    for surface, contact in zip((first, second), contacts, strict=True):
-        clear, z = surface.rim
+    # From the lowest point of the first rim to the highest of the second, so that no light gets out between
+    rims = (first.outer_radius, first.rim_heights[0]), (second.outer_radius, second.rim_heights[1])
+    for surface, contact, (clear, z) in zip((first, second), contacts, rims, strict=True):
         touch = clear if contact is None else contact
         if not clear <= touch <= rim:
             raise MistrayError(
