@@ -21,7 +21,7 @@ from mistray.settings import BATCHES
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 from mistray.time_budget import time_is_up
 from mistray.trace.filter_rows import Rows, named_like, unknown_name
-from mistray.trace.history import Ray, RayHistory, joined_histories, rays_in_slots, spread
+from mistray.trace.history import Ray, RayHistory, joined_histories, over_the_beam, rays_in_slots
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_row import PathRow
 from mistray.trace.ray_table import portions, recorded
@@ -56,7 +56,7 @@ def rays_elsewhere(
     tables = []
     for run in runs:
         rays = _rays(run, words, requested, n)
-        rays = [rays[k] for k in spread(len(rays), n)]
+        rays = [rays[k] for k in over_the_beam(len(rays), n)]
         facts = {"source": np.full(len(rays), run.source.name, dtype=object)}
         if rays:
             facts |= zip(("kind", "key"), kinds_and_keys(run, [ray.codes for ray in rays]), strict=True)
@@ -64,7 +64,7 @@ def rays_elsewhere(
     table = joined_histories(tables)
     # Every run has found up to n rays: choose n of all
     if n is not None and table.ray.nunique() > n:
-        kept = spread(table.ray.nunique(), n)
+        kept = over_the_beam(table.ray.nunique(), n)
         table = table[table.ray.isin(kept)].reset_index(drop=True)
         table["ray"] = np.searchsorted(kept, table.ray)
     return table if events else _ends(table)
