@@ -205,9 +205,12 @@ _HAPPENS: dict[str, Callable[[Events, int], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class _Compare:
+    """Comparison of a column with a value: a number, or a string; `text` is the value as it is written."""
+
     column: str
     compare: str
     value: float | str
+    text: str
 
     def bounds(self, rows: Rows) -> Bounds:
         # A path cannot decide: its rays differ in this column
@@ -222,9 +225,9 @@ class _Compare:
         if values.dtype.kind in "OUT":
             if self.compare not in ("=", "==", "!="):
                 raise UnknownError(f"'{self.column}' is text; compare it with = or !=")
-            fits, known = like_pattern(str(self.value)), rows.texts_of(self.column)
+            fits, known = like_pattern(self.text), rows.texts_of(self.column)
             if known and not any(map(fits, known)):
-                raise UnknownError(f"'{self.column}' is never '{self.value}'{like(str(self.value), known)}")
+                raise UnknownError(f"'{self.column}' is never '{self.text}'{like(self.text, known)}")
             same = np.array([fits(str(value)) for value in values], dtype=bool)
             return exactly(~same if self.compare == "!=" else same)
 
@@ -346,7 +349,7 @@ class _Parser:
             compared = self._compared()
             if compared is None:
                 return _Flag(word, name or "*")
-            compare, value = compared
+            compare, value, _ = compared
             if word == "M" or isinstance(value, str):
                 self._fail(f"{word}({name or '*'}) {compare} {value} compares nothing; a count is a number of events")
             return _Flag(word, name or "*", compare, float(value))
@@ -383,7 +386,8 @@ class _Parser:
         self._need(")")
         return name
 
-    def _compared(self) -> tuple[str, float | str] | None:
+    def _compared(self) -> tuple[str, float | str, str] | None:
+        """Return the next comparison: its sign, its value, and this value as it is written; None if there is none."""
         found = self._look()
         if found is None or not found["compare"]:
             return None
@@ -392,9 +396,8 @@ class _Parser:
         if value is None or not (value["number"] or value["text"] or value["word"]):
             self._fail(f"a number or a text is missing after '{found['compare']}'")
         self._at = value.end()
-        if value["number"]:
-            return found["compare"], float(value["number"])
-        return found["compare"], value["word"] or value["text"][1:-1]
+        text = value["number"] or value["word"] or value["text"][1:-1]
+        return found["compare"], float(text) if value["number"] else text, text
 
     def _look(self) -> re.Match[str] | None:
         """
