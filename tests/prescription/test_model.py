@@ -134,6 +134,8 @@ def test_scene_needs_detector_and_source(missing, tmp_path):
 def test_paraxial_and_placement_about_x_then_y_then_z():
     thin = system(*lens(radius=100.0)).paraxial(550.0)
     assert thin.efl == pytest.approx(1 / (0.5 * (2 / 100 - 0.5 * 2 / (1.5 * 100**2))), rel=1e-12)
+    bent = [replace(face, radius=math.inf, sag={"xy_0_2": face.curvature / 2}) for face in lens(radius=100.0)]
+    assert system(*bent).paraxial(550.0).efl == pytest.approx(thin.efl, rel=1e-6)
     mirror = Surface("m", semi_diameter=5.0, radius=-100.0, coating=Coating(R=1.0), mirror=True)
     assert "surface 'm'" in message(system(mirror).paraxial, 550.0)
     placed = Surface("s", semi_diameter=1.0, x=1.0, y=2.0, z=3.0, tilt_deg=(90.0, 90.0, 90.0))
