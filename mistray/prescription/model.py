@@ -217,7 +217,7 @@ class Surface(Placed):
 
     @property
     def rim(self) -> tuple[float, float]:
-        """Radius and z of the outer rim of a coaxial round surface, mm."""
+        """Radius and z of the outer rim of a coaxial round surface, mm; with a `sag`, z at azimuth +y."""
         return self.outer_radius, float(self.z_at(self.outer_radius))
 
     @property

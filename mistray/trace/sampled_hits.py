@@ -1,8 +1,8 @@
 """
 Samples of rays of all paths at once: hits on surfaces, and numerical aperture of the light at the detector.
 
-`mistray.trace.history` computes the points of a few rays again in float64, one path after the other. Hits have the
-kernel's own points. These are good to 1e-7 of the system's size: enough for angles and drawings.
+`mistray.trace.history` computes the points of rays again in float64. Hits have the kernel's own points. These are good
+to 1e-7 of the system's size: enough for angles and drawings.
 """
 
 from __future__ import annotations
