@@ -20,9 +20,10 @@ L(x)   meets x last before the detector
 
 ``H(barrel) >= 2`` counts events. ``name operator value`` compares a column of the table, with ``= != < <= > >=``; text
 needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A string in
-quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``. Or it is
-the name of a path or of a kind of paths in a report: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else
-needs no quotation marks, see `mistray.trace.named_paths`.
+quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``. There the
+letters r and t are all scatter, also the aimed rays that the table has as j and i. Or it is the name of a path or of a
+kind of paths in a report: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else needs no quotation marks, see
+`mistray.trace.named_paths`.
 
 A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with spaces
 stands in marks of the other kind: ``"detector:R 'window rear':R"``. For a name that holds both kinds write ``?`` for
@@ -45,7 +46,7 @@ import numpy as np
 
 from mistray.errors import MistrayError, nearest
 from mistray.events import LETTERS, REFLECTED, TOTAL, TRANSMITTED
-from mistray.recorders.path_events import Events
+from mistray.recorders.path_events import Events, sampled_alike
 from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, places
 from mistray.trace.named_paths import KINDS, Kind, Named, Whole, read_events, read_name
 
@@ -255,7 +256,7 @@ class _Sequence:
                 raise UnknownError(f"'{word}' ends in '{letter}'; a letter is one of {', '.join(letters)}")
             here = inside & places(name, rows)[rows.events.places]
             if letter:
-                here &= rows.events.happens(letters[letter])
+                here &= rows.events.happens(*sampled_alike(letters[letter]))
             here &= np.arange(codes.shape[1]) >= after[:, None]
             held &= here.any(axis=1)
             # Greedy: the first event that fits leaves most events for the words to come

@@ -136,7 +136,8 @@ class PathTable(
         ----------
         *surfaces : str
             Ids of surfaces, media or parts, each with an optional letter of the event there, as in ``:T``; they must
-            occur in this order, other events may lie between. ``*`` stands for any letters, ``?`` for one.
+            occur in this order, other events may lie between. ``:r`` and ``:t`` mean aimed scatter, too, ``:j`` and
+            ``:i`` mean it alone. ``*`` stands for any letters, ``?`` for one.
             ``find("detector:R", "window_rear:R")`` are the detector-window ghosts.
 
         Raises

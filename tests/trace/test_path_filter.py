@@ -120,6 +120,8 @@ def test_flags_and_columns(rows: Rows) -> None:
         ("L1_front L1_front", r"(^| )L1_front:. (.* )?L1_front:. "),
         ("L1", r"(^| )L1_\w+:. "),  # a part
         ("(N-BK7):t", r"(^| )\(N-BK7\):t "),
+        ("L1_rear:r", r"(^| )L1_rear:[rj] "),  # aimed scatter follows the same path
+        ("L1_rear:j", r"(^| )L1_rear:j "),
     ):
         expected = [re.search(pattern, text) is not None for text in texts]
         assert held(f'"{words}"', rows) == expected
