@@ -31,6 +31,7 @@ CAPACITY = 1 << 16  # branches that are recorded; others are not in the sample
 CONE_CAPACITY = 1 << 14  # branches of 64 events that are recorded for light cones
 CONE_START_RAYS = 1 << 11  # largest number of start rays of their sample
 CONE_RAYS = 256  # largest number of rays of each path
+PARALLEL = 1e-6  # numerical aperture below which light is parallel but for rounding
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -167,7 +168,7 @@ class LightCone(NamedTuple):
     @property
     def known(self) -> bool:
         """True if the cone has enough rays for a standard error and the light is not parallel."""
-        return self.rays >= ERROR_RAYS and self.aperture > 0
+        return self.rays >= ERROR_RAYS and self.aperture > PARALLEL
 
 
 def light_cones(paths: PathTable, path_ids: int | Sequence[int]) -> dict[int, LightCone]:
