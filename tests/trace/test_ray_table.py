@@ -298,6 +298,9 @@ def test_rays_of_the_ledger_filters_and_numbers(traced) -> None:
         ("windw", "", "'window'"),
         ("blockd", "", "'blocked'"),
         ("window", "power_W > 1", "'power_W'"),
+        ("window", "source = moon", "never 'moon'"),
+        ("window", "surface = windw", "never 'windw'"),
+        ("window", "type = SpecRefr", "never 'SpecRefr'"),
         (["escaped", "window"], "", "alone"),
     ):
         with pytest.raises(mistray.MistrayError, match=words):
