@@ -197,7 +197,7 @@ def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
     Return the `LightCone` at the detector of a bundle, the rays of one path.
 
     A spot in the detector plane is the Fourier transform of the pupil over the direction cosines along that plane,
-    times n/λ, with the index n before the detector and the vacuum wavelength λ. The direction cosines of a round,
+    times n/λ. Here n is the index before the detector and λ the vacuum wavelength. The direction cosines of a round,
     evenly filled cone of half angle u lie evenly in a disc of radius sin u. Their mean square distance from the centre
     is sin²u/2.
     """
