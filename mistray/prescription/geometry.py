@@ -108,7 +108,8 @@ def lens_edge(
     Return the edge cylinder and the flat rings that close a lens body between its two surfaces.
 
     Each ring is split where the mount begins to touch it. Inside this radius it is a bevel between the glass and the
-    medium outside; beyond it is a flange in contact, with the coating of the edge.
+    medium outside; beyond it is a flange in contact, with the coating of the edge. If a `sag` makes a rim uneven, the
+    edge reaches from the lowest point of the first rim to the highest of the second.
 
     Parameters
     ----------
@@ -133,7 +134,7 @@ def lens_edge(
     -------
     tuple of Structure
         Faces ``<part>_bevel_1``, ``<part>_flange_1``, ``<part>_edge``, ``<part>_flange_2`` and ``<part>_bevel_2``,
-        without faces of zero width.
+        without faces of zero width. Between a ring and an uneven rim is a cylinder ``<part>_step_1`` or ``_step_2``.
 
     Raises
     ------
@@ -157,8 +158,11 @@ def lens_edge(
         raise MistrayError(f"part '{part}': contact_radii is {shown(contact_radii)}; give two, each a number or None")
     for contact in contacts:
         RADIUS_MM.check_all(f"part '{part}'", contact_radii=contact)
-    for surface, contact in zip((first, second), contacts, strict=True):
-        clear, z = surface.rim
+    steps: list[Structure] = []
+    # Of an uneven rim the end that makes the body longer, so that no light gets out between
+    for number, (surface, contact) in enumerate(zip((first, second), contacts, strict=True), start=1):
+        clear, heights = surface.outer_radius, surface.rim_heights
+        z = heights[number - 1]
         touch = clear if contact is None else contact
         if not clear <= touch <= rim:
             raise MistrayError(
@@ -166,6 +170,9 @@ def lens_edge(
                 f"the clear radius {clear:g} mm and the edge radius {rim:g} mm"
             )
         ends.append((clear, touch, z))
+        if clear < rim:
+            points = [(clear, height) for height in heights]
+            steps += wall(f"{part}_step_{number}", points, coating=coating, part=part, front=glass, back=glass)
     (clear_1, touch_1, z_1), (clear_2, touch_2, z_2) = ends
     if z_2 <= z_1:
         raise MistrayError(
@@ -188,6 +195,7 @@ def lens_edge(
         *wall(f"{part}_edge", [(rim, z_1), (rim, z_2)], coating=coating, part=part, front=glass, back=around),
         *ring("flange_2", touch_2, rim, z_2, after, coating),
         *ring("bevel_2", clear_2, touch_2, z_2, after, bevel_coating),
+        *steps,
     )
 
 

@@ -21,7 +21,7 @@ from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.pose import fixed_turn
 from mistray.physics.geometry.sag import conic_end, sag
 from mistray.physics.imaging.paraxial import ParaxialSystem
-from mistray.physics.sags.terms import SAG, check_names, with_even
+from mistray.physics.sags.terms import SAG, check_names, vertex_curvatures, with_even
 from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
@@ -49,6 +49,7 @@ MAX_COEFFICIENTS = 9
 """Number of even coefficients a4 … a20 that the `asphere` plugin takes."""
 
 _RIM_SAMPLES = 513
+_STEP = 1e-3  # of the differences that give the curvature of a freeform, in units of its radius
 _LEVEL = 1e-12  # of its radius, by which the heights of a rim may differ by round-off
 
 
@@ -216,7 +217,7 @@ class Surface(Placed):
 
     @property
     def rim(self) -> tuple[float, float]:
-        """Radius and z of the outer rim of a coaxial round surface, mm."""
+        """Radius and z of the outer rim of a coaxial round surface, mm; with a `sag`, z at azimuth +y."""
         return self.outer_radius, float(self.z_at(self.outer_radius))
 
     @property
@@ -427,7 +428,7 @@ class Prescription:
     MistrayError
         If a detector is not a `Detector`, if two names are equal, if coatings or scatter models of the same name
         differ, or if two coaxial surfaces without outlines cross or coincide within their common aperture. Of a
-        rectangle the inscribed circle counts.
+        rectangle the inscribed circle counts, and of a `sag` its heights along +y.
 
     Examples
     --------
@@ -541,7 +542,7 @@ class Prescription:
 
     def paraxial(self, wavelength_nm: float) -> ParaxialSystem:
         """
-        Return the paraxial system of the refracting surfaces, in order, at a wavelength in nm.
+        Return the paraxial system of the refracting surfaces, in order, at a wavelength in nm; of a `sag` along y.
 
         Raises
         ------
@@ -556,7 +557,10 @@ class Prescription:
                 )
         index = [refractive_index(s.front, wavelength_nm) for s in self.surfaces[:1]]
         index += [refractive_index(s.back, wavelength_nm) for s in self.surfaces]
-        return ParaxialSystem([s.curvature for s in self.surfaces], [s.z for s in self.surfaces], index)
+        bends = [
+            vertex_curvatures(s.sag_numbers, _STEP * s.outer_radius)[1] if s.sag else s.curvature for s in self.surfaces
+        ]
+        return ParaxialSystem(bends, [s.z for s in self.surfaces], index)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a Mitsuba scene dictionary for `mistray.load` or `mi.load_dict`; a variant is set if none is."""

@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape, quoteattr
 
+import numpy as np
+
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
+from mistray.ids import free_name, plain_name
 from mistray.materials import resolved
 from mistray.physics.geometry.outline import Outline
 from mistray.physics.sags.terms import GRID
@@ -174,14 +177,19 @@ def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
     """
     Yield each section of the scene file, its comment and its nodes, in the order of the file.
 
-    Raise `MistrayError` if the prescription lacks its detector or source.
+    Raise `MistrayError` if the prescription lacks its detector or source, or a shape, coating or scatter model has the
+    name of an entry of every scene: "integrator", "source" or "type".
     """
     for key, remedy in (("detector", "Detector(half_width=…, half_height=…)"), ("source", "Source(radius=…)")):
         if getattr(prescription, key) is None:
             raise MistrayError(f"prescription '{prescription.name}': it has no {key}; add {key}={remedy}")
     assert prescription.source is not None
-    yield "", [_Node("integrator", "straylight", "integrator")]
-    yield "Light", [_source(prescription.source)]
+    own = [_Node("integrator", "straylight", "integrator"), _source(prescription.source)]
+    shared = prescription.shared_coatings().keys() | prescription.shared_scatter().keys()
+    for name in {"type", *(node.id for node in own)} & {*shared, *(shape.name for shape in prescription.shapes())}:
+        raise MistrayError(f"prescription '{prescription.name}': '{name}' is a name of the scene's own; rename it")
+    yield "", own[:1]
+    yield "Light", own[1:]
     yield "Coatings of several surfaces", [_thinfilm(coating) for coating in prescription.shared_coatings().values()]
     yield "Scatter of several surfaces", [_scatter(model) for model in prescription.shared_scatter().values()]
     yield "Optical surfaces", [_surface(s) for s in prescription.surfaces]
@@ -197,7 +205,8 @@ def scene_dict(prescription: Prescription) -> dict[str, Any]:
     Raises
     ------
     MistrayError
-        If the prescription has no detector or no source, or the grid of a sag lies in no file.
+        If the prescription has no detector or no source, the grid of a sag lies in no file, or a name is that of an
+        entry of every scene.
     """
     ensure_variant()
     scene: dict[str, Any] = {"type": "scene"}
@@ -228,7 +237,8 @@ def write_xml(prescription: Prescription, path: str | Path) -> None:
     Raises
     ------
     MistrayError
-        If the prescription has no detector or no source, or the file cannot be written.
+        If the prescription has no detector or no source, a name is that of an entry of every scene, or the file cannot
+        be written.
     """
     whole, grids = _with_grid_files(prescription, Path(path))
     replace_files({**grids, path: xml_text(whole)}, "scene file")
@@ -299,6 +309,8 @@ def _node_lines(node: _Node, depth: int) -> list[str]:
 
 
 def _property_line(key: str, value: Value, depth: int) -> str:
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, bool):
         tag, text = "boolean", "true" if value else "false"
     elif isinstance(value, int):
@@ -382,7 +394,9 @@ def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescripti
         grid = getattr(shape, "sag", {}).get(GRID)
         if grid is None or grid.path:
             return shape
-        file = path.with_name(f"{path.stem}_{shape.name}_grid.npz")
+        # By $ a scene file knows its parameters, also in the name of a file
+        base = f"{path.stem.replace('$', '_')}_{plain_name(shape.name)}"
+        file = path.with_name(free_name(base, "_grid.npz", {file.name for file in files}))
         files[file] = grid_bytes(grid)
         return replace(shape, sag={**shape.sag, GRID: replace(grid, path=file.name)})
 

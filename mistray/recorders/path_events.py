@@ -61,6 +61,11 @@ def way(events: np.ndarray) -> np.ndarray:
     return events
 
 
+def sampled_alike(kind: int) -> tuple[int, ...]:
+    """Return a kind of event and, for random scatter, that of aimed scatter, which samples the same physical path."""
+    return kind, *(aimed for aimed, random in _SAMPLED_ALIKE.items() if random == kind)
+
+
 def way_text(events: Iterable[str]) -> list[str]:
     """Return event lists as strings, with aimed scatter written by the letter of random scatter."""
     return [_AIMED_LETTER.sub(lambda found: _WAY_LETTERS[found[0]], text) for text in events]

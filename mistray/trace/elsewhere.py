@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -21,7 +21,7 @@ from mistray.settings import BATCHES
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 from mistray.time_budget import time_is_up
 from mistray.trace.filter_rows import Rows, named_like, unknown_name
-from mistray.trace.history import Ray, RayHistory, joined_histories, rays_in_slots, spread
+from mistray.trace.history import Ray, RayHistory, joined_histories, over_the_beam, rays_in_slots
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_row import PathRow
 from mistray.trace.ray_table import portions, recorded
@@ -52,11 +52,12 @@ def rays_elsewhere(
     """
     n = None if n is None else RAYS_OR_ALL.check("n", n)
     words = list(Several(TEXT).check("where", where))
+    _check_filter(runs, requested)
     # Rays of each run
     tables = []
     for run in runs:
         rays = _rays(run, words, requested, n)
-        rays = [rays[k] for k in spread(len(rays), n)]
+        rays = [rays[k] for k in over_the_beam(len(rays), n)]
         facts = {"source": np.full(len(rays), run.source.name, dtype=object)}
         if rays:
             facts |= zip(("kind", "key"), kinds_and_keys(run, [ray.codes for ray in rays]), strict=True)
@@ -64,7 +65,7 @@ def rays_elsewhere(
     table = joined_histories(tables)
     # Every run has found up to n rays: choose n of all
     if n is not None and table.ray.nunique() > n:
-        kept = spread(table.ray.nunique(), n)
+        kept = over_the_beam(table.ray.nunique(), n)
         table = table[table.ray.isin(kept)].reset_index(drop=True)
         table["ray"] = np.searchsorted(kept, table.ray)
     return table if events else _ends(table)
@@ -143,7 +144,7 @@ def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilt
     Return the rays among the first `count` recorded branches that pass the filter.
 
     They are in the order of their start rays. If the recorder holds rays that leave the scene, their last direction and
-    flux are those after the last hit. Raise as `passing` does.
+    flux are those after the last hit.
     """
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
@@ -178,12 +179,12 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
     Raises
     ------
     MistrayError
-        If a filter compares a column that only light on a detector has.
+        If a filter compares a column that only light on a detector has, or names what the scene lacks.
     UnfinishedError
         If the time is up before all rays are traced.
     """
     for requested in filters:
-        check_columns(requested)
+        _check_filter(runs, requested)
     found: list[Sampled] | None = None
     for run in runs:
         parts = _flux_of_run(run, maps, filters)
@@ -226,6 +227,14 @@ def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> 
     return [Sampled.of(own.T, started).scaled(run.unit) for own in sums]
 
 
+def _check_filter(runs: Sequence[Run], requested: PathFilter) -> None:
+    """Raise `MistrayError` if a filter names what the scene lacks, a source of all runs too, or as `check_columns`."""
+    check_columns(requested)
+    none = Events.of(runs[0].table, runs[0].design, *padded([]))
+    rows = _rows(runs[0], none, requested.columns)
+    requested.bounds(replace(rows, sources=[run.source.name for run in runs]))
+
+
 def check_columns(requested: PathFilter) -> None:
     """Raise `MistrayError` if a filter compares a column that exists only for light on a detector, such as power_W."""
     missing = requested.columns - set(COLUMNS)
@@ -240,11 +249,9 @@ def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, c
     """
     Return masks of the first `count` branches of a recorder that each filter selects, (filters, count) bool.
 
-    Raise `MistrayError` for a filter about a column that only light on the detector has.
+    The filters have passed `check_columns`.
     """
     # Branches of one path have the same answer
-    for requested in filters:
-        check_columns(requested)
     codes, lengths = recorder.events(np.arange(count))
     _, first, path = np.unique(np.array(recorder.path)[:count], return_index=True, return_inverse=True)
     compared = frozenset().union(*(requested.columns for requested in filters))

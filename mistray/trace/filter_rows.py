@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mistray.events import INTERCEPTS
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS, Events
 
 SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
@@ -59,7 +60,9 @@ class Rows:
         """Return the strings that can occur in a column; empty if any string can."""
         if column in SURFACE_COLUMNS:
             return [*self.events.ids, "-"]
-        return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.events.ids}.get(column, ())
+        surfaces = dict.fromkeys(("surface", "detector"), self.events.ids)
+        types = {"type": ("Emitted", *INTERCEPTS.values())}
+        return ({"kind": (DIRECT, *STRAY_KINDS), "source": self.sources} | surfaces | types).get(column, ())
 
 
 class UnknownError(Exception):

@@ -14,6 +14,7 @@ from mistray.execute.tracer import PASS_LANES, Run
 from mistray.kernel.launches import GOLDEN
 from mistray.ranges import ANYTHING, RAYS_LISTED, ByName, several, shown
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
+from mistray.recorders.start_rays import StartRays
 from mistray.result import KeyNumber, Result
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
@@ -174,6 +175,21 @@ def spread(count: int, most: int | None) -> np.ndarray:
     return np.linspace(0, count - 1, most).round().astype(int)
 
 
+def golden_order(count: int) -> np.ndarray:
+    """Return the indices from 0 to count - 1, (count,) int, in an order of which every beginning is spread over all."""
+    return np.argsort(np.argsort(np.arange(count) * GOLDEN % 1))
+
+
+def over_the_beam(count: int, most: int | None) -> np.ndarray:
+    """
+    Return at most `most` of the indices from 0 to count - 1 of rays in the order of their start rays, ascending.
+
+    They are spread over the beam, (n,) int; all of them if `most` is None. Start rays are numbered along a curve
+    through the beam, once for each batch: equal steps would meet the same place of it in every batch.
+    """
+    return np.arange(count) if most is None or count <= most else np.sort(golden_order(count)[:most])
+
+
 def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
     """
     Return up to `most` rays of the path of an id, spread over the beam, with hit points recomputed in float64, mm.
@@ -185,9 +201,8 @@ def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
     run = own.run
     recorder = run.record(own.slots, most)
     lanes = np.array(recorder.lane)[: recorder.kept]
-    # Start rays are numbered along a curve through the beam: every k-th is a fair sample of all
     order = np.argsort(lanes, kind="stable")
-    order = order[spread(len(lanes), most)]
+    order = order[over_the_beam(len(lanes), most)]
     return RayHistory(run, rays_in_slots(run, recorder, order, *run.weighted_start_rays(lanes[order])))
 
 
@@ -288,17 +303,12 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
     """
     run = own.run
     found: dict[int, list[Ray]] = {path_id: [] for path_id in own.ids.tolist()}
-    # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place
-    # of it in every batch. Multiples of the golden ratio are spread over the batches and over the curve, early ones too
-    lanes = (np.arange(SAMPLE_RAYS) * GOLDEN % 1 * run.rays).astype(np.int64)
-    lanes = np.array(list(dict.fromkeys(lanes.tolist())))
+    lanes = sampled_numbers(SAMPLE_RAYS, run.rays)
     recorder = BranchRecorder(as_many(SAMPLE_CAPACITY, run.settings.max_events), run.settings.max_events)
     for number in np.unique(lanes // PASS_LANES):
         here = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
         sample = run.start_pass(int(number)).take(upload(mi.UInt32, here))
         started = *run.exact(sample), sample.weights
-        numbers = np.array(sample.lane)
-        by_number = np.argsort(numbers)
         for part in np.split(
             np.arange(len(here)), FIRST_RAYS * 2 ** np.arange(int(np.log2(SAMPLE_RAYS / FIRST_RAYS)) + 1)
         ):
@@ -307,9 +317,8 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
             recorder.clear()
             run.trace_trees(sample.take(upload(mi.UInt32, part)), recorder)
             missing = np.array([len(rays) < most for rays in found.values()])
-            found_numbers = np.array(recorder.lane)[: recorder.kept]
-            starts = by_number[np.searchsorted(numbers, found_numbers, sorter=by_number)]
-            slots = _requested(recorder, own.keys[missing], most, starts)
+            starts = start_places(sample, recorder)
+            slots = first_branches(recorder, own.keys[missing], most, starts)
             rays = rays_in_slots(run, recorder, slots, *(values[starts[slots]] for values in started))
             for path_id, ray in zip(own.ids_of(np.array(recorder.path)[slots]).tolist(), rays, strict=True):
                 if len(found[path_id]) < most:
@@ -319,12 +328,28 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
     return found
 
 
-def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
+def sampled_numbers(most: int, count: int) -> np.ndarray:
+    """
+    Return up to `most` numbers below `count` of start rays, (n,) int, in an order of which every beginning is a sample.
+
+    Multiples of the golden ratio are spread over batches and beam, unlike equal steps, see `over_the_beam`.
+    """
+    return np.array(list(dict.fromkeys((np.arange(most) * GOLDEN % 1 * count).astype(np.int64).tolist())))
+
+
+def start_places(sample: StartRays, recorder: BranchRecorder) -> np.ndarray:
+    """Return the place in a sample of the start ray of each recorded branch, (b,) int."""
+    numbers = np.array(sample.lane)
+    order = np.argsort(numbers)
+    return np.asarray(order[np.searchsorted(numbers, np.array(recorder.lane)[: recorder.kept], sorter=order)])
+
+
+def first_branches(recorder: BranchRecorder, keys: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
     """
     Return the recorder slots, (n,) int, of at most `most` branches of each path whose key is in `keys`, (p,) uint64.
 
-    They are those of the first start rays. `starts`, (b,) int, is the place of each recorded branch's start ray in the
-    sample: the order of the slots is that of threads, and differs from call to call.
+    They are those of the first start rays. `starts` are from `start_places`: the order of the slots is that of threads,
+    and differs from call to call.
     """
     paths = np.array(recorder.path)[: recorder.kept]
     order = np.lexsort((starts, paths))

@@ -20,9 +20,10 @@ L(x)   meets x last before the detector
 
 ``H(barrel) >= 2`` counts events. ``name operator value`` compares a column of the table, with ``= != < <= > >=``; text
 needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A string in
-quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``. Or it is
-the name of a path or of a kind of paths in a report: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else
-needs no quotation marks, see `mistray.trace.named_paths`.
+quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``. There the
+letters r and t are all scatter, also the aimed rays that the table has as j and i. Or it is the name of a path or of a
+kind of paths in a report: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else needs no quotation marks, see
+`mistray.trace.named_paths`.
 
 A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with spaces
 stands in marks of the other kind: ``"detector:R 'window rear':R"``. For a name that holds both kinds write ``?`` for
@@ -45,7 +46,7 @@ import numpy as np
 
 from mistray.errors import MistrayError, nearest
 from mistray.events import LETTERS, REFLECTED, TOTAL, TRANSMITTED
-from mistray.recorders.path_events import Events
+from mistray.recorders.path_events import Events, sampled_alike
 from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, places
 from mistray.trace.named_paths import KINDS, Kind, Named, Whole, read_events, read_name
 
@@ -205,9 +206,12 @@ _HAPPENS: dict[str, Callable[[Events, int], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class _Compare:
+    """Comparison of a column with a value: a number, or a string; `text` is the value as it is written."""
+
     column: str
     compare: str
     value: float | str
+    text: str
 
     def bounds(self, rows: Rows) -> Bounds:
         # A path cannot decide: its rays differ in this column
@@ -222,9 +226,9 @@ class _Compare:
         if values.dtype.kind in "OUT":
             if self.compare not in ("=", "==", "!="):
                 raise UnknownError(f"'{self.column}' is text; compare it with = or !=")
-            fits, known = like_pattern(str(self.value)), rows.texts_of(self.column)
+            fits, known = like_pattern(self.text), rows.texts_of(self.column)
             if known and not any(map(fits, known)):
-                raise UnknownError(f"'{self.column}' is never '{self.value}'{like(str(self.value), known)}")
+                raise UnknownError(f"'{self.column}' is never '{self.text}'{like(self.text, known)}")
             same = np.array([fits(str(value)) for value in values], dtype=bool)
             return exactly(~same if self.compare == "!=" else same)
 
@@ -252,7 +256,7 @@ class _Sequence:
                 raise UnknownError(f"'{word}' ends in '{letter}'; a letter is one of {', '.join(letters)}")
             here = inside & places(name, rows)[rows.events.places]
             if letter:
-                here &= rows.events.happens(letters[letter])
+                here &= rows.events.happens(*sampled_alike(letters[letter]))
             here &= np.arange(codes.shape[1]) >= after[:, None]
             held &= here.any(axis=1)
             # Greedy: the first event that fits leaves most events for the words to come
@@ -346,7 +350,7 @@ class _Parser:
             compared = self._compared()
             if compared is None:
                 return _Flag(word, name or "*")
-            compare, value = compared
+            compare, value, _ = compared
             if word == "M" or isinstance(value, str):
                 self._fail(f"{word}({name or '*'}) {compare} {value} compares nothing; a count is a number of events")
             return _Flag(word, name or "*", compare, float(value))
@@ -383,7 +387,8 @@ class _Parser:
         self._need(")")
         return name
 
-    def _compared(self) -> tuple[str, float | str] | None:
+    def _compared(self) -> tuple[str, float | str, str] | None:
+        """Return the next comparison: its sign, its value, and this value as it is written; None if there is none."""
         found = self._look()
         if found is None or not found["compare"]:
             return None
@@ -392,9 +397,8 @@ class _Parser:
         if value is None or not (value["number"] or value["text"] or value["word"]):
             self._fail(f"a number or a text is missing after '{found['compare']}'")
         self._at = value.end()
-        if value["number"]:
-            return found["compare"], float(value["number"])
-        return found["compare"], value["word"] or value["text"][1:-1]
+        text = value["number"] or value["word"] or value["text"][1:-1]
+        return found["compare"], float(text) if value["number"] else text, text
 
     def _look(self) -> re.Match[str] | None:
         """

@@ -136,7 +136,8 @@ class PathTable(
         ----------
         *surfaces : str
             Ids of surfaces, media or parts, each with an optional letter of the event there, as in ``:T``; they must
-            occur in this order, other events may lie between. ``*`` stands for any letters, ``?`` for one.
+            occur in this order, other events may lie between. ``:r`` and ``:t`` mean aimed scatter, too, ``:j`` and
+            ``:i`` mean it alone. ``*`` stands for any letters, ``?`` for one.
             ``find("detector:R", "window_rear:R")`` are the detector-window ghosts.
 
         Raises
@@ -205,12 +206,12 @@ class PathTable(
 
     def power(self, path_ids: int | Sequence[int] | np.ndarray) -> tuple[float, float]:
         """
-        Return the total power of some paths and its standard error, W.
+        Return the total power of some paths and its standard error, W; a path that is given twice counts once.
 
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
         includes the correlation of paths. An unknown id raises `MistrayError`.
         """
-        ids = self.check_ids(path_ids)
+        ids = np.unique(self.check_ids(path_ids))
         _, se = sum_of_runs([own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(ids)], self.runs)
         return float(self._columns["power_W"][ids].sum()), float(se)
 
@@ -226,8 +227,8 @@ class PathTable(
         return np.flatnonzero(chosen)
 
     def light(self, path_ids: int | Sequence[int] | np.ndarray) -> Sampled:
-        """Return the total power of some paths, W, with its noise by batch, which keeps correlations of errors."""
-        return self._numbers.light[self.check_ids(path_ids)].total()
+        """Return the total power of some paths as `power` does, W, but with noise by batch: errors stay correlated."""
+        return self._numbers.light[np.unique(self.check_ids(path_ids))].total()
 
     @property
     def stray_W(self) -> Estimate:
@@ -238,7 +239,7 @@ class PathTable(
         """
         Return power, centroid, radius and polarisation, with each group of paths treated as one path, in their order.
 
-        `groups` holds path ids, each a group of its own, or lists of at least one path id.
+        `groups` holds path ids, each a group of its own, or lists of at least one path id, of which each counts once.
         """
         groups = self._groups(groups)
         counts = np.array([len(group) for group in groups], dtype=np.int64)
@@ -259,12 +260,12 @@ class PathTable(
         return PathNumbers.joined([alone[counts == 1], *parts])[order]
 
     def _groups(self, groups: int | Sequence[int | Sequence[int]]) -> list[list[int]]:
-        """Return groups of path ids as lists; raise `MistrayError` for an empty group or an unknown id."""
+        """Return groups of path ids as lists without repetition; raise `MistrayError` if one is empty or unknown."""
         found = [several(group) for group in several(groups)]
         if not all(found):
             raise MistrayError("a group of paths is empty; give each at least one path_id")
         self.check_ids([path_id for group in found for path_id in group])
-        return found
+        return [list(dict.fromkeys(group)) for group in found]
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> HitSums:
         """

@@ -13,7 +13,6 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
-from mistray.kernel.launches import GOLDEN
 from mistray.ranges import PLACE_MM, RAYS_OR_ALL, Each, Range
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.film import Box
@@ -23,7 +22,7 @@ from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
-from mistray.trace.history import Ray, RayHistory, bundles, joined_histories, spread
+from mistray.trace.history import Ray, RayHistory, bundles, golden_order, joined_histories, over_the_beam
 from mistray.trace.located_paths import LocatedPaths
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_row import PathRow
@@ -88,7 +87,7 @@ def ray_table(
     # Choose n of them, spread over the runs
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     count = len(whole["start_ray"])
-    kept = spread(count, n)  # every run has found as many as were requested, or all that it has
+    kept = over_the_beam(count, n)  # every run has found as many as were requested, or all that it has
     if not events:
         texts = {name: pd.Series(v[kept].tolist(), dtype="str") for name, v in whole.items() if v.dtype == object}
         rows = pd.DataFrame({name: values[kept] for name, values in whole.items()} | texts)
@@ -153,7 +152,7 @@ class _Search:
                 if n is not None and found >= n:
                     break
         whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        order = np.argsort(whole["start_ray"], kind="stable")[spread(found, n)]
+        order = np.argsort(whole["start_ray"], kind="stable")[over_the_beam(found, n)]
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
     def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
@@ -291,11 +290,7 @@ def portions(run: Run, grow: Callable[[int], int] = lambda size: 2 * size) -> It
     """
     for _, start in run.starts():
         count = dr.width(start.lane)
-        # A stride of the golden ratio, coprime to the count, visits all rays, and any prefix is spread over all
-        stride = max(1, round(GOLDEN * count))
-        while math.gcd(stride, count) > 1:
-            stride += 1
-        order = np.arange(count) * stride % count
+        order = golden_order(count)
         first, size = 0, FIRST
         while first < count:
             yield start.take(upload(mi.UInt32, order[first : first + size]))

@@ -1,8 +1,8 @@
 """
 Samples of rays of all paths at once: hits on surfaces, and numerical aperture of the light at the detector.
 
-`mistray.trace.history` computes the points of a few rays again in float64, one path after the other. Hits have the
-kernel's own points. These are good to 1e-7 of the system's size: enough for angles and drawings.
+`mistray.trace.history` computes the points of rays again in float64. Hits have the kernel's own points. These are good
+to 1e-7 of the system's size: enough for angles and drawings.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ import numpy.typing as npt
 
 from mistray.events import kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
-from mistray.kernel.launches import GOLDEN
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.sampled import ERROR_RAYS
 from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
-from mistray.trace.history import Bundle, bundles
+from mistray.trace.history import Bundle, bundles, first_branches, sampled_numbers, start_places
 from mistray.trace.located_paths import LocatedPaths
 from mistray.trace.paths import PathTable
 
@@ -32,6 +31,7 @@ CAPACITY = 1 << 16  # branches that are recorded; others are not in the sample
 CONE_CAPACITY = 1 << 14  # branches of 64 events that are recorded for light cones
 CONE_START_RAYS = 1 << 11  # largest number of start rays of their sample
 CONE_RAYS = 256  # largest number of rays of each path
+PARALLEL = 1e-6  # numerical aperture below which light is parallel but for rounding
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -97,16 +97,13 @@ def sampled_hits(own: LocatedPaths, start_rays: int, most: int) -> SampledHits:
     recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
     sample, kept = _record_sample(run, start_rays, recorder, most)
     origins, _ = run.exact(sample)
-    place = np.array(sample.lane)
     # Events and nodes, padded
     codes, length = recorder.events(kept)
     nodes = recorder.nodes_of(kept, codes.shape[1])
     there = np.arange(codes.shape[1]) < length[:, None]
     surface = np.where(there, place_of(codes).astype(np.int64), -1)
     points, arrival = nodes[..., :3] + run.table.centre, nodes[..., 3:6]
-    # Start points by the numbers of the start rays
-    order = np.argsort(place)
-    start = origins[order[np.searchsorted(place[order], np.array(recorder.lane)[kept])]]
+    start = origins[start_places(sample, recorder)[kept]]
     return SampledHits(
         own.ids_of(np.array(recorder.path)[kept]),
         run.source.wavelength_nm,
@@ -133,18 +130,10 @@ def _record_sample(run: Run, start_rays: int, recorder: BranchRecorder, most: in
     kept : (n,) int
         Places of at most `most` branches of each path in the recorder.
     """
-    # Multiples of the golden ratio, as in `mistray.trace.history.sample_rays`
-    numbers = np.unique((np.arange(start_rays) * GOLDEN % 1 * min(run.rays, PASS_LANES)).astype(np.int64))
-    sample = run.start_pass(0).take(upload(mi.UInt32, numbers))
+    sample = run.start_pass(0).take(upload(mi.UInt32, sampled_numbers(start_rays, min(run.rays, PASS_LANES))))
     run.trace_trees(sample, recorder)
-    paths, lanes = (np.array(values)[: recorder.kept] for values in (recorder.path, recorder.lane))
-    # Start rays are numbered along a curve in the beam
-    order = np.lexsort((lanes, paths))
-    _, first, counts = np.unique(paths[order], return_index=True, return_counts=True)
-    number = np.arange(len(order)) - np.repeat(first, counts)
-    of = np.repeat(counts, counts)
-    kept = (of <= most) | ((number + 1) * most // of > number * most // of)  # every k-th, spread over the beam
-    return sample, np.sort(order[kept])
+    keys = np.unique(np.array(recorder.path)[: recorder.kept])
+    return sample, first_branches(recorder, keys, most, start_places(sample, recorder))
 
 
 def _normals(run: Run, surface: Whole, points: Floats, arrival: Floats) -> Floats:
@@ -179,7 +168,7 @@ class LightCone(NamedTuple):
     @property
     def known(self) -> bool:
         """True if the cone has enough rays for a standard error and the light is not parallel."""
-        return self.rays >= ERROR_RAYS and self.aperture > 0
+        return self.rays >= ERROR_RAYS and self.aperture > PARALLEL
 
 
 def light_cones(paths: PathTable, path_ids: int | Sequence[int]) -> dict[int, LightCone]:
@@ -208,7 +197,7 @@ def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
     Return the `LightCone` at the detector of a bundle, the rays of one path.
 
     A spot in the detector plane is the Fourier transform of the pupil over the direction cosines along that plane,
-    times n/λ, with the index n before the detector and the vacuum wavelength λ. The direction cosines of a round,
+    times n/λ. Here n is the index before the detector and λ the vacuum wavelength. The direction cosines of a round,
     evenly filled cone of half angle u lie evenly in a disc of radius sin u. Their mean square distance from the centre
     is sin²u/2.
     """

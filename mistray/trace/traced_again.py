@@ -152,7 +152,7 @@ class TracedAgain:
         Parameters
         ----------
         x0, x1, y0, y1 : float
-            Rectangle in the detector's frame, mm; x0 < x1 and y0 < y1.
+            Rectangle in the frame of each detector, mm; x0 < x1 and y0 < y1.
 
         Returns
         -------

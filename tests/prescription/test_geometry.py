@@ -103,6 +103,15 @@ def test_barrels_and_frames():
     assert profile(barrel((first, second))) == steps
     with pytest.raises(MistrayError, match="cut into it"):
         barrel((first, plano("b", -1.0, 3.0)))
+    # Rims that are not plane: the edge has the height of both, so that no light passes beside it
+    toric = (replace(face, sag={"curvature_x": 0.02 * sign}) for face, sign in zip(body(), (1, -1), strict=True))
+    (edge,) = barrel(toric)
+    assert (edge.z0, edge.z1) == (pytest.approx(0.0, abs=1e-12), 2.0)
+    bent = (replace(face, sag={"curvature_x": -0.02 * sign}) for face, sign in zip(body(), (1, -1), strict=True))
+    (edge,) = barrel(bent)
+    assert (edge.z0, edge.z1) == pytest.approx((-0.2506, 2.2506), abs=1e-4)
+    edge, ring, step = barrel((body()[0], replace(body(rear_radius=4.0)[1], sag={"curvature_x": 0.02})))
+    assert (edge.z1, ring.z1, step.r0, step.z0, step.z1) == pytest.approx((2.1603, 2.1603, 4.0, 2.0, 2.1603), abs=1e-4)
     gas = barrel((plano("a", 0.0, 5.0, back="1.00027"), plano("b", 3.0, 5.0, front="1.00027")))
     assert [piece.part for piece in gas] == ["barrel"]  # no lens
     assert (gas[0].front, gas[0].back) == ("1.00027", "air")  # a cell that is filled, in air

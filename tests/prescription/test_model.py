@@ -12,7 +12,7 @@ import vectors
 import mistray
 from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface
 from mistray.io import from_zemax, to_sequential, write_zemax
-from mistray.prescription import ObjectPoint, Stop
+from mistray.prescription import Grid, ObjectPoint, Stop
 from mistray.scene.read_optics import read_optics
 
 pytestmark = pytest.mark.quick
@@ -105,6 +105,17 @@ def test_coatings_crossing_surfaces_stops_and_names():
     assert thin.z0 == thin.z1 == 0.0
 
 
+def test_numbers_of_numpy_and_odd_names_of_grids_are_written(tmp_path: Path) -> None:
+    sag = {"grid": Grid.of(np.zeros((4, 4)), (5.0, 5.0))}
+    sides = [Surface(name, z=z, semi_diameter=5.0, sag=sag) for name, z in (("a/b", 0.0), ("a b", 1.0))]
+    plate = Surface("c", z=2.0, radius=np.float32(50.5), conic=np.int64(-1), semi_diameter=5.0, space=np.int64(3))
+    system(*sides, plate, source=Source(radius=1.0, field_deg=np.float32(0.5))).to_xml(tmp_path / "$1.xml")
+    assert {path.name for path in tmp_path.glob("*.npz")} == {"_1_a_b_grid.npz", "_1_a_b_2_grid.npz"}
+    for line in ('"radius" value="50.5"', '"conic" value="-1"', '"space" value="3"', '"field_deg" value="0.5"'):
+        assert f"name={line}/>" in (tmp_path / "$1.xml").read_text()
+    assert len(mistray.load(tmp_path / "$1.xml").shapes()) == 4
+
+
 @pytest.mark.parametrize("missing", ["detector", "source"])
 def test_scene_needs_detector_and_source(missing, tmp_path):
     prescription = system(*lens(), **{missing: None})
@@ -113,6 +124,9 @@ def test_scene_needs_detector_and_source(missing, tmp_path):
         assert f"has no {missing}" in text
         assert f"add {missing}=" in text
     assert not list(tmp_path.iterdir())
+    for name in ("integrator", "source", "type"):
+        taken = system(*lens(), structures=(Structure(name, 9.0, 0.0, 9.0, 1.0),))
+        assert f"'{name}' is a name of the scene's own" in message(taken.to_dict)
     assert "no source" in message(system(*lens(), source=None).with_source, field_deg=7.0)
     assert system(*lens()).with_source(field_deg=7.0).source.field_deg == 7.0
 
@@ -120,6 +134,8 @@ def test_scene_needs_detector_and_source(missing, tmp_path):
 def test_paraxial_and_placement_about_x_then_y_then_z():
     thin = system(*lens(radius=100.0)).paraxial(550.0)
     assert thin.efl == pytest.approx(1 / (0.5 * (2 / 100 - 0.5 * 2 / (1.5 * 100**2))), rel=1e-12)
+    bent = [replace(face, radius=math.inf, sag={"xy_0_2": face.curvature / 2}) for face in lens(radius=100.0)]
+    assert system(*bent).paraxial(550.0).efl == pytest.approx(thin.efl, rel=1e-6)
     mirror = Surface("m", semi_diameter=5.0, radius=-100.0, coating=Coating(R=1.0), mirror=True)
     assert "surface 'm'" in message(system(mirror).paraxial, 550.0)
     placed = Surface("s", semi_diameter=1.0, x=1.0, y=2.0, z=3.0, tilt_deg=(90.0, 90.0, 90.0))

@@ -107,6 +107,9 @@ def test_flags_and_columns(rows: Rows) -> None:
         assert held(f"power_W {sign} .5", rows) == compare(power, 0.5).tolist()
     assert held("power_W>1e-1&power_W<=+3E-1", rows) == ((power > 0.1) & (power <= 0.3)).tolist()
     assert held('kind = "ghost + scatter"', rows) == (rows.columns["kind"] == "ghost + scatter").tolist()
+    # Text that looks like a number
+    key = next(key for key in rows.columns["key"] if key.isdigit())
+    assert held(f"key = {key}", rows) == (rows.columns["key"] == key).tolist()
     # Without blanks no quotation marks
     assert held("kind = *diffraction*", rows) == ["diffraction" in kind for kind in rows.columns["kind"]]
     assert held("power_W > -1e308", rows) == [True] * len(LISTS)
@@ -117,6 +120,8 @@ def test_flags_and_columns(rows: Rows) -> None:
         ("L1_front L1_front", r"(^| )L1_front:. (.* )?L1_front:. "),
         ("L1", r"(^| )L1_\w+:. "),  # a part
         ("(N-BK7):t", r"(^| )\(N-BK7\):t "),
+        ("L1_rear:r", r"(^| )L1_rear:[rj] "),  # aimed scatter follows the same path
+        ("L1_rear:j", r"(^| )L1_rear:j "),
     ):
         expected = [re.search(pattern, text) is not None for text in texts]
         assert held(f'"{words}"', rows) == expected

@@ -121,6 +121,9 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
         table.located([8])
     assert {row.path for row in table.find("barrel:j")} == {"TjA", "tjA", "ijA"}
     assert len(table.find("L1_front", "barrel")) == 5
+    assert table.power([1, 2, 1]) == table.power([1, 2])
+    assert table.light([1, 1]).whole == table.light(1).whole
+    assert table.numbers([[2, 1, 2]]).columns["power_W"] == table.numbers([[2, 1]]).columns["power_W"]
 
 
 def test_the_error_of_a_sum() -> None:

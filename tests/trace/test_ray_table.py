@@ -17,6 +17,7 @@ from mistray.execute import tracer
 from mistray.recorders.path_events import DIRECT, LETTERS, STRAY_KINDS
 from mistray.toolkit.pages.embedded import power_codes
 from mistray.trace import ray_table
+from mistray.trace.history import over_the_beam
 
 FIRST = [
     "ray", "path_id", "kind", "wavelength_nm", "source", "start_ray", "node", "type", "history", "flux_W",
@@ -81,6 +82,22 @@ class TestAll:
         x0, x1, y0, y1 = triplet.extent
         pixel = (x1 - x0) * (y1 - y0) / image.size
         np.testing.assert_allclose(image / pixel, triplet.irradiance, rtol=1e-5, atol=1e-12)
+
+    def test_few_rays_are_spread_over_the_beam(self) -> None:
+        for most in (16, 17, 33):  # start rays go through the beam once for each of 32 batches
+            places = np.sort(over_the_beam(20_000, most) % 625)
+            assert np.diff(places, append=places[0] + 625).max() < 0.2 * 625, most
+        lens = mistray.Surface("lens", radius=20, semi_diameter=8, back="1.5")  # f = 60 mm in the glass behind
+        system = mistray.Prescription(
+            name="immersed",
+            surfaces=(lens,),
+            detector=mistray.Detector(z=60, half_width=1, half_height=1, front="1.5"),
+            source=mistray.Source(radius=2),
+        )
+        t = mistray.trace(system.to_scene(), rays=20_000)
+        start = t.sampled_hits()[0].start
+        assert np.linalg.norm(start[:, :2].mean(axis=0)) < 0.3  # of 2 mm
+        assert t.light_cones(0)[0].aperture == pytest.approx(1.5 * 2 / 60, rel=0.02)
 
     def test_branches_beyond_the_recorder_s_room(self, rough: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         whole = rough.rays(n=None)
@@ -281,6 +298,9 @@ def test_rays_of_the_ledger_filters_and_numbers(traced) -> None:
         ("windw", "", "'window'"),
         ("blockd", "", "'blocked'"),
         ("window", "power_W > 1", "'power_W'"),
+        ("window", "source = moon", "never 'moon'"),
+        ("window", "surface = windw", "never 'windw'"),
+        ("window", "type = SpecRefr", "never 'SpecRefr'"),
         (["escaped", "window"], "", "alone"),
     ):
         with pytest.raises(mistray.MistrayError, match=words):

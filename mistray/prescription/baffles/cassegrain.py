@@ -154,7 +154,8 @@ def cassegrain_baffles(
     Parameters
     ----------
     primary, secondary : Surface
-        Coaxial mirrors. Light travels along +z to the primary. The rim of either mirror may limit the beam.
+        Coaxial mirrors, whose `sag` is left out. Light travels along +z to the primary. The rim of either mirror may
+        limit the beam.
     detector : Detector
         Detector behind the primary.
     field_deg : float

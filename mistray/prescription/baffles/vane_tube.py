@@ -22,12 +22,12 @@ h_{k+1} = p_k less an overlap; and so on until no light at more than ε reaches 
 construction of the textbooks (R. P. Breault in *Handbook of Optics* vol. II, ch. 38; E. Fest, *Stray Light Analysis and
 Control*, SPIE 2013, ch. 9) with the exclusion angle added.
 
-It is exact for skew rays too. Seen from a wall point Q on the +x side, the rays to the optic (by the point where they
-meet it) and the rays from outside (by their slopes) that pass an opening fill a disc centred on the meridional axis.
-Common points of such discs form a convex set that is symmetric about this axis, so if there are any, there are some on
-the axis: a point that is lit or seen at all is lit or seen in its meridional plane. The steepest common slope lies on
-the axis too, because the centres of all discs lie on one side of the origin: along the arc that bounds the set, the
-distance from the origin falls from the point on the axis on.
+It is exact for skew rays too. Take a wall point Q on the +x side. Describe its rays to the optic by the point where
+they meet it, and its rays from outside by their slopes. Those that pass an opening then fill a disc centred on the
+meridional axis. Common points of such discs form a convex set that is symmetric about this axis. So if there are any,
+there are some on the axis: a point that is lit or seen at all is so in its meridional plane. The steepest common slope
+lies on the axis too, because the centres of all discs lie on one side of the origin. Along the arc that bounds the set,
+the distance from the origin falls from the point on the axis on.
 
 Lengths in mm, angles in degrees in names that end in ``_deg``; light travels +z.
 """

@@ -15,7 +15,8 @@ STOP, DETECTOR = "stop_front", "detector"
 
 _SIGNS = re.compile(r"[^\w+-]+")
 _RESERVED = re.compile(
-    r"(stop|stop_front|barrel|barrel_\d+_wall(_\d+)?|board|board_(left|right|top|bottom)|detector|ground_edge|L\d+)",
+    r"(stop|stop_front|barrel|barrel_\d+_wall(_\d+)?|board|board_(left|right|top|bottom)|detector|ground_edge|L\d+|"
+    r"integrator|source|type)",
     re.IGNORECASE,
 )
 _FACE = re.compile(r"(.+)_(?:front|rear|back)")

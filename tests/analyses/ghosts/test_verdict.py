@@ -534,7 +534,7 @@ def test_only_radii_below_the_floor_of_a_known_cone_have_one() -> None:
     lines, radii = [550, 550, 275, 275, 550, 550, 550], [2.6e-3, 2.7e-3, 1.3e-3, 1.4e-3, 1e-4, 1e-4, 1e-4]
     table = pd.DataFrame({"path_id": range(7), "wavelength_nm": lines, "rms_radius_mm": radii})
     cones = dict.fromkeys(range(4), LightCone(0.125, 0.0025, 99))
-    cones |= {4: LightCone(0.125, 0.01, 9), 5: LightCone(0.0, 0.0, 99)}
+    cones |= {4: LightCone(0.125, 0.01, 9), 5: LightCone(1e-16, 1e-18, 99)}
     found = with_airy(table.assign(power_W=2.0, power_se_W=0.1), cones)
     assert list(found.airy_radius_mm[[0, 2]]) == pytest.approx([2.683274e-3, 1.341637e-3], rel=1e-6)
     names = [name for name in found if str(name).startswith("airy")]
