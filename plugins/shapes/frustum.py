@@ -117,6 +117,8 @@ class Frustum(Revolution):
         v = self.values
         return v["r1"] < v["r0"] if self.flat else v["z1"] > v["z0"]
 
+    mesh_points = 2  # a straight generatrix
+
     def profile(self, count: int = 9) -> np.ndarray:
         v = self.values
         u = np.linspace(0.0, 1.0, count)

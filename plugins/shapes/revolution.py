@@ -6,11 +6,16 @@ import numpy as np
 
 from mistray.plugins.shapes.formula_shape import FormulaShape
 
-AZIMUTHS = 96  # facets of the mesh around the axis, for Mitsuba's own integrators
+# Facets of the mesh around the axis, and points along the generatrix, for Mitsuba's own integrators alone. Chords of a
+# sphere's generatrix leave it by a quarter of what the azimuths do; Embree takes all triangles anew at each change.
+AZIMUTHS, ALONG = 96, 33
 
 
 class Revolution(FormulaShape):
     """Base class of surfaces of revolution about the local z axis; a subclass also provides `profile`."""
+
+    mesh_points = ALONG
+    """Number of points of the generatrix at which the mesh has its rings; it must not follow the parameters."""
 
     def profile(self, count: int = 65) -> np.ndarray:
         """Return `count` points of the generatrix, r and z in the local frame, (count, 2), mm."""
@@ -22,7 +27,7 @@ class Revolution(FormulaShape):
         return False
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        return revolve(self.profile(), self.flipped)
+        return revolve(self.profile(self.mesh_points), self.flipped)
 
 
 def revolve(profile: np.ndarray, flipped: bool = False, azimuths: int = AZIMUTHS) -> tuple[np.ndarray, np.ndarray]:
