@@ -183,6 +183,7 @@ def test_what_has_no_psf_and_what_is_refused():
     del blind["mirror"]
     each_refused(
         (mistray.load("cooke_triplet"), {"field_deg": 60.0}, r"field 60°.*no light"),
+        (mistray.load("cooke_triplet"), {"field_deg": 14.0, "reference_radius_mm": 0.01}, "miss so small a sphere"),
         (scene, {"stop": "nobody"}, "'nobody'"),
         (mistray.load(blind), {}, "no image"),
         (mistray.load("cooke_triplet", "laser:0,0,-50,waist_x=1,waist_y=1"), {}, "neither far away nor a point"),
