@@ -31,7 +31,7 @@ class Estimate(NamedTuple):
 
     def times(self, factor: float) -> Estimate:
         """Return the estimate multiplied by an exact number; its standard error scales too."""
-        return Estimate(factor * self.value, factor * self.se)
+        return Estimate(factor * self.value, abs(factor) * self.se)
 
     def over(self, other: Estimate) -> Estimate:
         """
