@@ -428,6 +428,7 @@ class TestWavelengths:
         exact = float(np.trapezoid(passed(fine) * planck.spectral_radiance(fine, 300.0), fine))
         whole = planck.band_radiance(300.0, *band)
         found = traced_wavelengths(scene, None, band, [300.0])
+        assert traced_wavelengths(scene, None, band, [300.0, 0.1]) == found, "what is so cold has no light in the band"
         nodes = np.array(found.wavelengths_um)
         assert found.error <= 0.01
         by_nodes = band_weights(300.0, band, nodes) @ passed(nodes)
