@@ -149,7 +149,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         total = 0.0
         for share, line in zip(self.shares, self.lines, strict=True):
             lit = line.pupil.lit
-            square = ((line.spot_mm[lit] - middle) ** 2).sum(axis=1)
+            square = ((line.spot_mm[lit] - middle) ** 2).sum(axis=1) + line.blur_mm2[lit]
             total += share * float((line.pupil.energy[lit] * square).sum()) / line.pupil.total
         return math.sqrt(total)
 

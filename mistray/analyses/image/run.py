@@ -224,7 +224,8 @@ def _field(
         frame = ImageFrame(chief.point, axes, sampled.pupil.curvature)
         wavelength = path.table.wavelength_nm
         samples.append(sampled)
-        lines.append(LineImage(wavelength, float(share), sampled.pupil, sampled.spot, sampled.stop, sampled.jacobian))
+        rays = sampled.spot, sampled.blur, sampled.stop, sampled.jacobian
+        lines.append(LineImage(wavelength, float(share), sampled.pupil, *rays))
         step()
     foci = foci_beside(system.path, bundle, chief, axes, region.size)
     return _Field(angle, bundle, chief, frame, samples, tuple(lines), foci)

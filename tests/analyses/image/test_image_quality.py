@@ -171,6 +171,15 @@ def test_wavelengths_count_by_the_light_that_arrives():
     assert found.shares == pytest.approx(light / light.sum(), rel=2e-3)
 
 
+def test_spots_are_right_where_the_rim_is_steep():
+    """A sag of A r¹² sends light 24 A f r¹¹ aside: RMS 24 A f R¹¹/√12 over a disc, to (R/f)²/2 = 0.8 %."""
+    A, scene = 1e-17, paraboloid()
+    scene["mirror"]["a12"] = A
+    (found,) = mistray.image_quality(mistray.load(scene), 0.0, grid=16)
+    expected = 24 * A * FOCAL * RADIUS**11 / math.sqrt(12 * (1 - OBSTRUCTION**2))
+    assert found.rms_spot_mm() == pytest.approx(expected, rel=0.02)
+
+
 def test_what_has_no_psf_and_what_is_refused():
     """A point at 300 mm before a lens that is focused at infinity: the spot is there, a note says why MTF is not."""
     found = mistray.image_quality(mistray.load("cooke_triplet", "point:0,0,-300"), field_mm=5.0)
