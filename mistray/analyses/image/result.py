@@ -264,7 +264,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         radii_mm : float or (m,) array_like
             Radii, or half sides of squares, mm.
         about : {"centroid", "chief", "peak"}
-            Centre of the circles or squares.
+            Centre of the circles or squares; "peak" is that of the point spread at the reference wavelength.
         square : bool
             Whether to use squares.
 

@@ -89,7 +89,8 @@ def run(scene: mi.Scene, request: ImageRequest, *, progress: Progress | None = N
     ------
     MistrayError
         If no light reaches the detector by the design path, at a field or at all, or the light does not converge. Also
-        if a surface on the way is a mesh, or the source is neither far away nor a point.
+        if a surface on the way is a mesh, the source is neither far away nor a point, or rays miss the requested
+        reference sphere.
 
     Examples
     --------

@@ -146,7 +146,8 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         """
         Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors.
 
-        `kind` is the place of the class in `CLASSES`, `line` a wavelength, nm; None: sums over all wavelengths.
+        `kind` is the place of the class in `CLASSES`, `line` a traced wavelength, nm; None: sums over all of them. Fine
+        frequencies fade by `resolution_mm`.
         """
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)

@@ -40,7 +40,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class OwnPack(Pack):
-    """File of reference numbers that a user wrote, in the form of a built-in pack."""
+    """Reference numbers in a file that a user wrote, in the form of a built-in pack; `path` is that of the file."""
 
     path: str = ""
 
