@@ -13,6 +13,7 @@ import numpy.typing as npt
 from mistray.errors import MistrayError
 from mistray.physics.imaging.pupil import PEAK_POINTS, PEAK_ZOOMS, Pupil
 from mistray.physics.imaging.zernike_fit import ZernikeFit, fit_zernikes
+from mistray.ranges import FINITE
 from mistray.result import KeyNumber, Result
 
 AZIMUTHS = {"sagittal": 0.0, "tangential": 90.0}
@@ -54,13 +55,13 @@ def direction_of(azimuth: str | float) -> tuple[float, float]:
     Raises
     ------
     MistrayError
-        If the name is another one.
+        If it is another name, or no finite number.
     """
     if isinstance(azimuth, str):
         if azimuth not in AZIMUTHS:
             raise MistrayError(f"azimuth is '{azimuth}'; give 'tangential', 'sagittal' or degrees from sagittal on")
         azimuth = AZIMUTHS[azimuth]
-    angle = math.radians(float(azimuth))
+    angle = math.radians(FINITE.check("azimuth", azimuth))
     x, y = math.cos(angle), math.sin(angle)
     return (0.0 if abs(x) < 1e-15 else x), (0.0 if abs(y) < 1e-15 else y)
 

@@ -232,7 +232,9 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         MistrayError
             If the method is unknown, or a value is out of range or goes beyond the computed image.
         """
-        PIXELS.check("pixels", pixels)
+        pixels = PIXELS.check("pixels", pixels)
+        if line is not None:
+            line = Range(-len(self.lines), len(self.lines) - 1, whole=True).check("line", line)
         if method not in PSF_METHODS:
             raise MistrayError(f"method is '{method}'; give 'fft' or 'huygens'")
         if pixel_mm is None:

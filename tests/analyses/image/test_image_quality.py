@@ -69,7 +69,13 @@ def test_annular_pupil_line_and_edge():
     assert np.gradient(edge, x)[1:-1] == pytest.approx(line[1:-1], abs=0.02 * line.max())
     assert np.all(line > -1e-3 * line.max())
     # Beyond, the image is repeated
-    each_refused((lambda: axis.line_spread([0.0, 1.01 * axis.largest_radius_mm]), "x_mm reach from 0 to"))
+    each_refused(
+        (lambda: axis.line_spread([0.0, 1.01 * axis.largest_radius_mm]), "x_mm reach from 0 to"),
+        (lambda: axis.rms_waves("defocus"), "removed is 'defocus'; give 'piston', 'tilt' or 'focus'"),
+        (lambda: axis.psf(16, line=1), "line is 1; it must be a whole number between -1 and 0"),
+        (lambda: axis.mtf(5.0, None), "azimuth is None"),
+    )
+    assert axis.psf(16.0, line=-1).values.shape == (16, 16)
 
 
 def test_coma_and_scale():
