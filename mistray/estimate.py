@@ -30,8 +30,8 @@ class Estimate(NamedTuple):
     se: float
 
     def times(self, factor: float) -> Estimate:
-        """Return the estimate multiplied by an exact number; its standard error scales too."""
-        return Estimate(factor * self.value, factor * self.se)
+        """Return the estimate multiplied by an exact number, and its standard error by the size of that number."""
+        return Estimate(factor * self.value, abs(factor) * self.se)
 
     def over(self, other: Estimate) -> Estimate:
         """

@@ -78,6 +78,8 @@ class Seen:
         All surfaces, in the order of the scene, the detector and those without hits included.
     media : dict
         Material → (emission, standard error, by batch) of absorbing media.
+    named : dict
+        Material of each medium → all names that surfaces give it: materials of equal index and scatter are one medium.
     escaped : tuple
         Share of the rays that leave the scene, standard error, by batch.
     image : tuple or None
@@ -102,6 +104,7 @@ class Seen:
 
     rows: list[SeenSurface]
     media: dict[str, tuple[float, float, np.ndarray]]
+    named: dict[str, set[str]]
     escaped: tuple[float, float, np.ndarray]
     image: tuple[float, float, np.ndarray] | None
     lost: tuple[float, float, np.ndarray]
@@ -191,21 +194,23 @@ def see(
             )
         )
     # Absorbing media; the first entry is the unknown one
-    media = {
-        name: estimate(row)
-        for name, row in zip(trace.table.optics.media[1:], trace.sums.media[1:], strict=True)
-        if row.any()
-    }
+    optics = trace.table.optics
+    media = {name: estimate(row) for name, row in zip(optics.media[1:], trace.sums.media[1:], strict=True) if row.any()}
+    named: dict[str, set[str]] = {name: {name} for name in optics.media}
+    for bsdf, numbers in zip(optics.bsdfs, optics.declared.tolist(), strict=True):
+        for number, spec in zip(numbers, (bsdf.front, bsdf.back), strict=True):
+            named[optics.media[number]] |= {spec.strip()} if number else set()
     # The image, if there are design sequences to this detector
     detector_id = trace.table.ids[trace.table.detector]
-    optics, designed = has_optics(trace.table), bool(trace.design.lists.get(trace.table.detector))
+    imaging, designed = has_optics(trace.table), bool(trace.design.lists.get(trace.table.detector))
     # Without any, all light that is neither scattered nor a ghost counts as the image, which a note says
-    missing = [Message.NO_DESIGN.note(detector=detector_id)] if optics and not designed else []
+    missing = [Message.NO_DESIGN.note(detector=detector_id)] if imaging and not designed else []
     return Seen(
         rows=rows,
         media=media,
+        named=named,
         escaped=estimate(trace.sums.channels[ESCAPED]),
-        image=estimate(trace.sums.cells[DIRECT, 0, 0]) if designed and optics else None,
+        image=estimate(trace.sums.cells[DIRECT, 0, 0]) if designed and imaging else None,
         lost=estimate(trace.sums.lost),
         detector=detector_id,
         detector_area_mm2=trace.area,

@@ -18,8 +18,9 @@ from refusals import refused
 from result_calls import CALLS, LONG
 
 import mistray
+from mistray.estimate import Estimate
 from mistray.result import Result
-from mistray.toolkit.figures.bars import BARS
+from mistray.toolkit.figures.bars import BARS, bars
 from mistray.toolkit.summary import MOST_LETTERS, MOST_ROWS, main_figure
 
 long = pytest.mark.long
@@ -226,3 +227,11 @@ def test_a_figure_says_how_much_it_leaves_out() -> None:
     assert surfaces > BARS
     assert main_figure(t.surfaces).get_suptitle().endswith(f"; {surfaces - BARS} more surfaces are not drawn")
     assert re.search(r"; [0-9]+ more destinations are not drawn$", main_figure(t.energy).get_suptitle())
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_value_without_a_bar_leaves_the_others_theirs(value: float) -> None:
+    """A search that darkens a term has no ratio for it; a factor below 0 makes no error below 0."""
+    (axes,) = bars({"a": Estimate(-2.0, 0.1).times(-1), "b": Estimate(value, 0.1)}, ["b", "b"], "ratio").axes
+    assert [bar.get_width() for bar in axes.patches] == [2.0, 0.0]
+    assert (axes.get_xscale(), len(axes.texts)) == ("log", 0)

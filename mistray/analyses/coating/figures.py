@@ -104,7 +104,7 @@ def coating_figure(
     """
     lam = np.asarray(wavelengths_nm, dtype=np.float64)
     if len(lam) < 2:
-        raise MistrayError(f"a plot over wavelength needs two or more wavelengths, there is {len(lam)}")
+        raise MistrayError(f"a plot over wavelength needs two or more wavelengths, there is {len(lam)}; give more")
     setting = (front, back, from_front)
     figure, (left, right) = Figure.of_panels(10.4, 4.6, 1, 2)
     over_wavelength = spectrum(coating, lam, angles_deg, *setting)
@@ -156,7 +156,7 @@ def surfaces_figure(
     """
     lam = np.asarray(wavelengths_nm, dtype=np.float64)
     if len(lam) < 2:
-        raise MistrayError(f"a plot over wavelength needs two or more wavelengths, there is {len(lam)}")
+        raise MistrayError(f"a plot over wavelength needs two or more wavelengths, there is {len(lam)}; give more")
     middle = float(lam[len(lam) // 2])
     figure, rows = Figure.of_panels(10.4, 0.7 + 2.5 * len(surfaces), len(surfaces), 2, dpi=110, squeeze=False)
     figure.set_layout_engine("constrained", h_pad=0.1)

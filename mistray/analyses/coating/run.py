@@ -74,10 +74,10 @@ def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
     """
     Return mean reflectances of a scene's coatings, 0 … 1.
 
-    By default the mean is from 400 to 700 nm, or over the light of the first source if all of it is beyond 780 nm.
+    By default the mean is from 400 to 700 nm, or over the band of the first source if all of it is beyond 780 nm.
     """
     light = next((getattr(emitter, "wavelengths_nm", ()) for emitter in scene.emitters()), ())
-    invisible = len(light) > 1 and min(light) > VISIBLE_TO_NM
+    invisible = len(light) > 0 and min(light) > VISIBLE_TO_NM
     full, means = _lit(request, (min(light), max(light)) if invisible else VISIBLE_NM), []
     lam = full.wavelength_nm
     for surface in coated_surfaces(scene):
@@ -89,8 +89,9 @@ def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
 
 
 def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
-    """Return the coating request with its own wavelengths, or with 61 of them spread over `band`, nm."""
-    return replace(request, wavelength_nm=request.wavelength_nm or np.linspace(*band, POINTS).tolist())
+    """Return the coating request with its own wavelengths, or with 61 spread over `band`, nm: one for a line."""
+    own = np.unique(np.linspace(*band, POINTS)).tolist()
+    return replace(request, wavelength_nm=request.wavelength_nm or own)
 
 
 def is_scene(text: str) -> bool:

@@ -34,8 +34,8 @@ class ChiefRay:
         Point on the detector, mm, unit direction there, and the detector's unit normal on the side that light heads
         for, all in world coordinates.
     by_field : (2, 3) float64
-        Derivatives of the point with respect to the field, in its direction and across it: mm per unit of the tangent
-        of a field angle, or per mm of object height.
+        Derivatives of the point with respect to the field, in its direction and across it: mm per radian by which the
+        light of a distant object turns, or per mm by which a near object point moves.
     pupil_distance : float
         Distance from the exit pupil to the detector along the ray, mm, negative if the pupil lies behind the detector;
         ``inf`` if chief rays of neighbouring fields are parallel to it.

@@ -23,7 +23,7 @@ RAYS = 3000  # of a spot diagram
 
 
 def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the tangential and sagittal MTF of up to 8 fields against frequency, 1/mm, with the diffraction limit."""
+    """Draw the MTF (T and S) of up to 8 fields against frequency, 1/mm, with the diffraction limit of the first."""
     images, of_all = _shown(found)
     return _mtf(images, max(map(_last_frequency, found)), title, of_all)
 

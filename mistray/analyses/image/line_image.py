@@ -13,6 +13,7 @@ import numpy.typing as npt
 from mistray.errors import MistrayError
 from mistray.physics.imaging.pupil import PEAK_POINTS, PEAK_ZOOMS, Pupil
 from mistray.physics.imaging.zernike_fit import ZernikeFit, fit_zernikes
+from mistray.ranges import FINITE
 from mistray.result import KeyNumber, Result
 
 AZIMUTHS = {"sagittal": 0.0, "tangential": 90.0}
@@ -54,13 +55,13 @@ def direction_of(azimuth: str | float) -> tuple[float, float]:
     Raises
     ------
     MistrayError
-        If the name is another one.
+        If it is another name, or no finite number.
     """
     if isinstance(azimuth, str):
         if azimuth not in AZIMUTHS:
             raise MistrayError(f"azimuth is '{azimuth}'; give 'tangential', 'sagittal' or degrees from sagittal on")
         azimuth = AZIMUTHS[azimuth]
-    angle = math.radians(float(azimuth))
+    angle = math.radians(FINITE.check("azimuth", azimuth))
     x, y = math.cos(angle), math.sin(angle)
     return (0.0 if abs(x) < 1e-15 else x), (0.0 if abs(y) < 1e-15 else y)
 
@@ -81,7 +82,9 @@ class LineImage(Result):
         tangential.
     spot_mm : (n, n, 2) float64
         Points on the detector of the n × n cells of the pupil, x and y relative to the image point, mm; NaN in dark
-        cells.
+        cells. Of a cell that a rim or a vane cuts it is the mean of the lit part.
+    blur_mm2 : (n, n) float64
+        Mean square distance of the light of a cut cell from that point, mm²; 0 in other cells.
     stop_xy : (n, n, 2) float64
         Points where the rays cross the stop, in units of its radius; NaN in dark cells.
     stop_area : (n, n) float64
@@ -99,6 +102,7 @@ class LineImage(Result):
     weight: float
     pupil: Pupil
     spot_mm: Array
+    blur_mm2: Array
     stop_xy: Array
     stop_area: Array
 

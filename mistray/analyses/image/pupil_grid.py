@@ -76,7 +76,10 @@ class PupilSamples:
     pupil : Pupil
         Amplitude and OPD over the direction cosines.
     spot : (n, n, 2) float64
-        Points on the detector relative to the image point, mm; NaN in dark cells.
+        Points on the detector relative to the image point, mm; NaN in dark cells. Of a cell that is cut it is the mean
+        of its lit part.
+    blur : (n, n) float64
+        Mean square distance of the light of a cut cell from that point, mm²; 0 in other cells.
     stop : (n, n, 2) float64
         Points where the rays cross the stop, in units of its radius; NaN in dark cells.
     jacobian : (n, n) float64
@@ -87,6 +90,7 @@ class PupilSamples:
 
     pupil: Pupil
     spot: Array
+    blur: Array
     stop: Array
     jacobian: Array
     illumination: float
@@ -136,7 +140,7 @@ def sample_pupil(
     lit = np.zeros(len(x), dtype=bool)
     some = np.flatnonzero(np.isfinite(x).all(axis=1))
     lit[some] = path.unobstructed(*bundle.rays(x[some]), beyond_end=True).passes
-    share, aside = _shares(path, bundle, x, slopes, lit.reshape(grid, grid), step)
+    share, hits, blur = _shares(path, bundle, x, slopes, lit.reshape(grid, grid), step)
     used = np.flatnonzero(share > 0)
     light = design_light(path, *bundle.rays(x[used]), throughput=True)
     opl = frame.cosines(light)[1]
@@ -145,9 +149,8 @@ def sample_pupil(
     fine = np.isfinite(opl) & np.isfinite(flux)
     share[used[~fine]] = 0.0
     used = used[fine]
-
     # Of a cell that a rim cuts the ray in the middle may lie beyond it, where the spot is not lit
-    hit = design_light(path, *bundle.rays((x + aside)[used])).hit
+    hit = np.where(np.isfinite(hits[used]), hits[used], light.hit[fine])
 
     def spread(values: Array, fill: float) -> Array:
         result = np.full((grid * grid, *values.shape[1:]), fill)
@@ -172,7 +175,7 @@ def sample_pupil(
     spot = spread((hit - frame.point) @ frame.axes[:, :2], np.nan)
     total = float((light.throughput[fine] * share[used]).sum()) * step**2 * light.index**2
     stopped = everything.reshape(grid, grid, 3)
-    return PupilSamples(pupil, spot, stopped[..., :2], stopped[..., 2], total)
+    return PupilSamples(pupil, spot, blur.reshape(grid, grid), stopped[..., :2], stopped[..., 2], total)
 
 
 def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
@@ -253,30 +256,35 @@ def _guess(wanted: Array, points: Array, known: Array) -> Array:
 
 def _shares(
     path: DesignPath, bundle: PointBundle, x: Array, slopes: Array, lit: npt.NDArray[np.bool_], step: float
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """
-    Return the lit fraction of each pupil cell, (cells,), and the offset of its lit part from the centre, (cells, 2).
+    Return the lit fraction of each pupil cell, and where its light meets the detector.
 
     `x`, (cells, 2), and `slopes` are those of `_rays_to`; `lit`, (n, n), marks cells whose middle ray passes. `step` is
-    their width in direction cosines. Offsets are in coordinates of the bundle. A few rays test every cell, because a
-    vane narrower than a cell may lie between the middles. Cells that are cut, and their neighbours, are divided
-    further, so that a vane found in one cell is followed to its end.
+    their width in direction cosines. A few rays test every cell, because a vane narrower than a cell may lie between
+    the middles. Cells that are cut, and their neighbours, are divided further, so that a vane found in one cell is
+    followed to its end. At the rim aberrations are steepest, too.
+
+    Returns
+    -------
+    share : (cells,) float64
+        Lit fraction.
+    hits : (cells, 3) float64
+        Mean point on the detector, mm, of the lit part of each divided cell; NaN for others and dark ones.
+    blur : (cells,) float64
+        Mean square distance from that point, mm²; 0 where there is none.
     """
     n = len(lit)
     known = np.isfinite(slopes).all(axis=(1, 2))
-    share, aside = lit.astype(np.float64).ravel(), np.zeros_like(x)
+    share, hits, blur = lit.astype(np.float64).ravel(), np.full((len(x), 3), np.nan), np.zeros(len(x))
     moved = np.random.default_rng(0).random((len(x), 2))
 
-    def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """
-        Return offsets of test rays from cell centres, (m, count, 2), and which of the rays pass, (m, count) bool.
-
-        Offsets are in coordinates of the bundle.
-        """
+    def look(cells: npt.NDArray[np.intp], count: int) -> tuple[tuple[Array, Array], npt.NDArray[np.bool_]]:
+        """Return `count` test rays of each cell, see `PointBundle.rays`, and which of them pass, (m, count) bool."""
         at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
         moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
         rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))
-        return moves, path.unobstructed(*rays, beyond_end=True).passes.reshape(len(cells), count)
+        return rays, path.unobstructed(*rays, beyond_end=True).passes.reshape(len(cells), count)
 
     def beside(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Return a mask of the cells that are marked or adjacent to a marked one, (n·n,) bool."""
@@ -289,12 +297,16 @@ def _shares(
     seen = look(every, 1 << max(0, int(np.log2(LOOKS / len(x)))))[1]
     cut[every] |= np.any(seen != lit.ravel()[every, None], axis=1)
     while len(cells := np.flatnonzero(cut & known & ~divided)):
-        moves, passes = look(cells, PARTS)
+        rays, passes = look(cells, PARTS)
         share[cells] = passes.mean(axis=1)
-        aside[cells] = (moves * passes[..., None]).sum(axis=1) / np.maximum(passes.sum(axis=1), 1)[:, None]
+        points = design_light(path, *rays).hit.reshape(*passes.shape, 3)
+        some = passes.any(axis=1)
+        hits[cells[some]] = np.mean(points[some], axis=1, where=passes[some, :, None])
+        apart = points[some] - hits[cells[some], None]
+        blur[cells[some]] = np.mean((apart**2).sum(axis=2), axis=1, where=passes[some])
         divided[cells] = True
         cut = beside(divided & (share > 0) & (share < 1))
-    return share, aside
+    return share, hits, blur
 
 
 def _net(count: int) -> Array:

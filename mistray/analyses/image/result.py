@@ -149,7 +149,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         total = 0.0
         for share, line in zip(self.shares, self.lines, strict=True):
             lit = line.pupil.lit
-            square = ((line.spot_mm[lit] - middle) ** 2).sum(axis=1)
+            square = ((line.spot_mm[lit] - middle) ** 2).sum(axis=1) + line.blur_mm2[lit]
             total += share * float((line.pupil.energy[lit] * square).sum()) / line.pupil.total
         return math.sqrt(total)
 
@@ -232,7 +232,9 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         MistrayError
             If the method is unknown, or a value is out of range or goes beyond the computed image.
         """
-        PIXELS.check("pixels", pixels)
+        pixels = PIXELS.check("pixels", pixels)
+        if line is not None:
+            line = Range(-len(self.lines), len(self.lines) - 1, whole=True).check("line", line)
         if method not in PSF_METHODS:
             raise MistrayError(f"method is '{method}'; give 'fft' or 'huygens'")
         if pixel_mm is None:
@@ -264,7 +266,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         radii_mm : float or (m,) array_like
             Radii, or half sides of squares, mm.
         about : {"centroid", "chief", "peak"}
-            Centre of the circles or squares.
+            Centre of the circles or squares; "peak" is that of the point spread at the reference wavelength.
         square : bool
             Whether to use squares.
 

@@ -27,7 +27,7 @@ from mistray.sampling.sources import field_of, scene_sources, spectrum_of
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.toolkit.analysis import analysis
 from mistray.trace.host.bundle import PointBundle, field_bundle
-from mistray.trace.host.design_light import check_sheets
+from mistray.trace.host.design_light import check_sheets, design_light
 from mistray.trace.host.stop import PupilStop, Region, find_stop, lit_region
 
 FIRST_GRID, LAST_GRID = 64, 512  # where the grid is as fine as the wavefront asks for
@@ -89,7 +89,8 @@ def run(scene: mi.Scene, request: ImageRequest, *, progress: Progress | None = N
     ------
     MistrayError
         If no light reaches the detector by the design path, at a field or at all, or the light does not converge. Also
-        if a surface on the way is a mesh, or the source is neither far away nor a point.
+        if a surface on the way is a mesh, the source is neither far away nor a point, or rays miss the requested
+        reference sphere.
 
     Examples
     --------
@@ -214,8 +215,7 @@ def _field(
         notes.append(f"{name}: its image lies at ({x:.4g}, {y:.4g}) mm, beside the detector, whose edge is not counted")
     axes = image_axes(system.path, chief)
     distance = chief.distance_from(system.pupil) if radius is None else radius
-    curvature = 1 / distance if distance else np.inf
-    frame = ImageFrame(chief.point, axes, curvature)
+    frame = ImageFrame(chief.point, axes, 1 / (distance or 1e-300))
     samples, lines = [], []
     for number, (path, share) in enumerate(zip(system.paths, shares, strict=True)):
         here = region if number == system.reference else lit_region(path, bundle, system.aperture)
@@ -225,7 +225,8 @@ def _field(
         frame = ImageFrame(chief.point, axes, sampled.pupil.curvature)
         wavelength = path.table.wavelength_nm
         samples.append(sampled)
-        lines.append(LineImage(wavelength, float(share), sampled.pupil, sampled.spot, sampled.stop, sampled.jacobian))
+        rays = sampled.spot, sampled.blur, sampled.stop, sampled.jacobian
+        lines.append(LineImage(wavelength, float(share), sampled.pupil, *rays))
         step()
     foci = foci_beside(system.path, bundle, chief, axes, region.size)
     return _Field(angle, bundle, chief, frame, samples, tuple(lines), foci)
@@ -246,9 +247,20 @@ def _sampled(
     Raises
     ------
     MistrayError
-        If the light does not converge on the detector, or none reaches it.
+        If the light does not converge on the detector, none reaches it, or rays miss a sphere of the given `radius`.
     """
     count = grid or FIRST_GRID
+    plane = ImageFrame(frame.point, frame.axes, 0.0)
+    in_blur = f"{name}: the exit pupil lies in the blur of the image; the reference sphere is a plane"
+    seen = design_light(path, *bundle.rays(region.points))
+    if np.any(np.isnan(frame.cosines(seen)[1]) & np.isfinite(seen.opl_mm)):
+        if radius is not None:
+            raise MistrayError(
+                f"{name}: reference_radius_mm is {radius:g}, and rays of the image miss so small a sphere; give a "
+                "larger one, or inf for a plane"
+            )
+        frame = plane
+        notes.append(in_blur)
     while True:
         sampled = sample_pupil(path, bundle, region, frame, system.stop, chief.coordinates, count)
         if sampled is None:
@@ -256,8 +268,8 @@ def _sampled(
         if not sampled.pupil.total > 0:
             raise MistrayError(f"{name}: no light reaches the detector by the design path; choose other fields")
         if radius is None and frame.curvature and not _pupil_is_far(sampled, frame.curvature):
-            frame = ImageFrame(frame.point, frame.axes, 0.0)
-            notes.append(f"{name}: the exit pupil lies in the blur of the image; the reference sphere is a plane")
+            frame = plane
+            notes.append(in_blur)
             continue
         steepest = sampled.pupil.steepest
         # The steps of a smooth wavefront go with the size of the cells
@@ -280,7 +292,7 @@ def _pupil_is_far(sampled: PupilSamples, curvature: float) -> bool:
     half = 0.5 * float(np.hypot(np.ptp(pupil.alpha), np.ptp(pupil.beta)))
     blur = float(np.nanmax(np.abs(sampled.spot)))
     fresnel = half**2 / (abs(curvature) * pupil.wavelength_mm)
-    return bool(np.isfinite(curvature)) and blur * abs(curvature) < BLUR and fresnel > LEAST_WAVES
+    return blur * abs(curvature) < BLUR and fresnel > LEAST_WAVES
 
 
 def _image(

@@ -73,8 +73,9 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
     wavelengths_um : tuple of float
         Wavelengths at which the optics were traced, µm.
     band_error : float
-        Bound of the relative error of band integrals by these wavelengths, dimensionless; divided by √3 it is part of
-        the standard errors of means and integrals over the band. NaN if the optics are not known over the whole band.
+        Bound of the relative error of band integrals by these wavelengths, dimensionless, without that of scatter, see
+        `TracedBand.error`. Divided by √3 it is part of the standard errors of means and integrals over the band. NaN if
+        the optics are not known over the whole band.
     detector : str
         Id of the detector's shape.
     returned : list of NarcissusReturn

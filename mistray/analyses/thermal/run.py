@@ -199,7 +199,7 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
     """
     names: dict[Key, tuple[str, ...]] = {("surface", row.id): (row.id, row.part) for row in seen[0].rows}
     names.setdefault(("surface", seen[0].detector), (seen[0].detector,))
-    names |= {("medium", material): (material,) for one in seen for material in one.media}
+    names |= {("medium", material): tuple(one.named[material]) for one in seen for material in one.media}
     found = dict.fromkeys(names, default_K)
     for pattern, kelvin in rules.items():
         fitting = (key for key, titles in names.items() if any(fits(title, pattern) for title in titles))
@@ -286,7 +286,7 @@ def _report(
             "detector_area_mm2": seen[0].detector_area_mm2,
             "settings": {key: value for key, value in settings.items() if value is not None},
         },
-        notes=_notes(seen, image_irradiance, traced, band),
+        notes=_notes(seen, image, traced, band),
     )
 
 
@@ -353,11 +353,11 @@ def _returned(
     return sorted(rows, key=lambda row: -row.with_shield_K.value)
 
 
-def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[Note]:
+def _notes(seen: Sequence[Seen], image: Sequence[Seen], traced: TracedBand, band: tuple[float, float]) -> list[Note]:
     """
     Return notes on the reliability of the results, such as wavelengths that are too few.
 
-    `seen` are the views at the traced wavelengths, `image` is the irradiance of the image, W/mm², `band` is in µm.
+    `seen` and `image` are the views of everything and of the image alone at the traced wavelengths, `band` is in µm.
     """
     waves = traced.wavelengths_um
     notes = list(dict.fromkeys(note for one in seen for note in one.notes))
@@ -368,7 +368,7 @@ def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tupl
     lost = max(one.lost[0] / one.whole for one in seen)
     if lost > LOST_WARNING:
         notes.append(Message.VIEW_CUT.note(share=percent_text(lost)))
-    if image.value <= 0:
+    if not any(imaged_share(one).any() for one in image):
         notes.append(Message.NO_SCENE_SEEN.note())
     if waves[0] < band[0] or waves[-1] > band[1]:
         notes.append(Message.BAND_OUTSIDE.note(wavelengths=", ".join(f"{w:g}" for w in waves)))

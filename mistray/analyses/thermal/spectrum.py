@@ -88,8 +88,9 @@ class TracedBand:
     wavelengths_um : tuple of float
         Traced wavelengths, µm, ascending.
     error : float
-        Bound of the relative error of a band integral by linear interpolation between them; 0 if nothing depends on the
-        wavelength, NaN if the optics are not known over the whole band.
+        Bound of the relative error of a band integral by linear interpolation between them, of what surfaces absorb,
+        reflect and transmit and bodies absorb and pass; that of scatter is left out. 0 if none of this depends on the
+        wavelength or nothing emits in the band, NaN if the optics are not known over the whole band.
     """
 
     wavelengths_um: tuple[float, ...]
@@ -151,7 +152,8 @@ def traced_wavelengths(
     ]
     shares = np.concatenate([share for share, _ in does], axis=1)
     least = np.concatenate([floor for _, floor in does])
-    weights = np.array([band_weights(kelvin, band_um, nodes) for kelvin in temperatures_K if kelvin > 0])
+    every = (band_weights(kelvin, band_um, nodes) for kelvin in temperatures_K)
+    weights = np.array([one for one in every if one.any()])  # at some kelvins a band has no light above 0
     if not len(weights):
         return TracedBand(tuple(map(float, waves)), 0.0)
     weights /= weights.sum(axis=1, keepdims=True)

@@ -53,7 +53,7 @@ class ImageSpread(PassingLight):
     edges_mm : (n + 1,) float64
         Borders of the rings, mm, 0 first.
     by_line : dict
-        Wavelength, nm → flux with its noise, W, see `rings` and `waves`.
+        Traced wavelength, nm → flux with its noise, W, see `rings` and `waves`.
     """
 
     def __init__(
@@ -140,7 +140,7 @@ class ImageSpread(PassingLight):
         """
         Return the flux of the class at index `kind` of `CLASSES` in the innermost disc and each ring, W, (n,).
 
-        It is that at `wavelength_nm`, or by default the sum over wavelengths.
+        It is that at `wavelength_nm`, a key of `by_line`, or by default the sum over wavelengths.
         """
         return self._of(kind, wavelength_nm)[: self._rings]
 
@@ -148,7 +148,7 @@ class ImageSpread(PassingLight):
         """
         Return real and imaginary part of the Fourier sums of the class at index `kind` of `CLASSES`, W, (m,) each.
 
-        They are those at `wavelength_nm`, or by default the sums over wavelengths.
+        They are those at `wavelength_nm`, a key of `by_line`, or by default the sums over wavelengths.
         """
         found = self._of(kind, wavelength_nm)[self._rings :]
         return found[0::2], found[1::2]

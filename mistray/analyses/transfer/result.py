@@ -146,7 +146,8 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         """
         Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors.
 
-        `kind` is the place of the class in `CLASSES`, `line` a wavelength, nm; None: sums over all wavelengths.
+        `kind` is the place of the class in `CLASSES`, `line` a traced wavelength, nm; None: sums over all of them. Fine
+        frequencies fade by `resolution_mm`.
         """
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)
@@ -160,6 +161,14 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         f = self.frequencies_per_mm
         moved = np.exp(2j * np.pi * f * float(self.image.centroid_mm @ np.array([x, y])))
         return [line.pupil.otf(f * x, f * y) * moved for line in self.image.lines]
+
+    @cached_property
+    def _traced(self) -> list[tuple[float, float]]:
+        """Traced wavelength that stands for each line of the image, nm, and the line's fraction of the light there."""
+        traced = np.sort([*self.spread.by_line])  # a time budget leaves wavelengths out
+        nearest = [float(traced[np.abs(traced - line.wavelength_nm).argmin()]) for line in self.image.lines]
+        sums = {nm: self.image.shares[np.equal(nearest, nm)].sum() for nm in nearest}
+        return [(nm, share / sums[nm]) for nm, share in zip(nearest, self.image.shares, strict=True)]
 
     def lens(self, azimuth: str = "tangential") -> Array:
         """Return the MTF of the direct image alone, (m,), 0 … 1, along `azimuth`, without Monte Carlo noise."""
@@ -202,9 +211,9 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         The lens multiplies scattered light too, as in Harvey's product; ghosts are added as rays.
         """
         total = self._waves(GHOSTS, azimuth)
-        for otf, line in zip(self._direct_otf(azimuth), self.image.lines, strict=True):
-            light = self._waves(SCATTER, azimuth, line.wavelength_nm) + self._direct(line.wavelength_nm)
-            total = total + light.times(otf)
+        for otf, (line, part) in zip(self._direct_otf(azimuth), self._traced, strict=True):
+            light = self._waves(SCATTER, azimuth, line) + self._direct(line)
+            total = total + light.times(part * otf)
         found = total.over(self._detected).modulus()
         factor = np.abs(self.detector(azimuth))
         return TransferCurve(found.value * factor, found.se * factor)

@@ -69,7 +69,8 @@ def run(
     progress : callable, optional
         Called with (fields done, fields in all).
     seconds : float, optional
-        Time of each trace, s, which then ends with the rays that it has; None: no limit.
+        Time of each trace, s, which then ends with the rays that it has, and leaves out wavelengths if it is too short
+        for all of four or more; their light counts at the nearest that is traced. None: no limit.
 
     Returns
     -------

@@ -28,6 +28,7 @@ from mistray.analyses.validate.result import (
 from mistray.analyses.validate.scene_numbers import SceneNumbers
 from mistray.errors import MistrayError, nearest
 from mistray.estimate import UNKNOWN, Estimate
+from mistray.ids import free_name
 from mistray.notes import Code, Note, quiet
 from mistray.trace.forward import versions
 
@@ -39,7 +40,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class OwnPack(Pack):
-    """File of reference numbers that a user wrote, in the form of a built-in pack."""
+    """Reference numbers in a file that a user wrote, in the form of a built-in pack; `path` is that of the file."""
 
     path: str = ""
 
@@ -78,8 +79,11 @@ def run_validation(request: ValidateRequest, progress: Progress | None = None) -
     MistrayError
         If a pattern fits no row, a file of the user's own is not valid, or its scene cannot be loaded or traced.
     """
-    own = [OwnPack(Path(path).stem, SceneNumbers, path=path) for path in request.own or ()]
-    chosen = _chosen(own or PACKS, request.only)
+    own: dict[str, Pack] = {}
+    for path in request.own or ():
+        name = free_name(Path(path).stem, "", own)
+        own[name] = OwnPack(name, SceneNumbers, path=path)
+    chosen = _chosen([*own.values()] or PACKS, request.only)
     rows: list[ComparedRow] = []
     packs, notes = [], list[Note]()
     for number, (pack, file, declared) in enumerate(chosen):

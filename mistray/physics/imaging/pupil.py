@@ -23,6 +23,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from mistray.errors import MistrayError
+
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
@@ -131,7 +133,14 @@ class Pupil:
         ----------
         terms : {"piston", "tilt", "focus"}
             Terms that are fitted: 1 only; 1, α and β; or 1, α, β and γ. The other coefficients are 0.
+
+        Raises
+        ------
+        MistrayError
+            If `terms` is another word.
         """
+        if terms not in REMOVED:
+            raise MistrayError(f"removed is {terms!r}; give 'piston', 'tilt' or 'focus'")
         count, lit = REMOVED[terms], self.lit
         a, b = np.meshgrid(self.alpha - self.alpha.mean(), self.beta - self.beta.mean())
         basis = np.stack([np.ones_like(a), a, b, self.gamma])[:count, lit]

@@ -22,7 +22,7 @@ def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> 
     """
     Return a figure of values and their standard errors as horizontal bars on a log10 scale, the first at the top.
 
-    There is no bar for a value that is not above 0.
+    There is no bar for a value that is not above 0, or not finite.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> 
         Name of the values, with their unit.
     """
     made, axes = Figure.of_panels(8.6, 1.2 + 0.32 * max(len(values), 3))
-    value = np.array([one.value for one in values.values()])
-    error = np.nan_to_num([one.se for one in values.values()])
+    value = np.array([one.value if one.value > 0 and np.isfinite(one.value) else 0.0 for one in values.values()])
+    error = np.nan_to_num([one.se for one in values.values()], posinf=0.0)
     names = [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…" for name in values]
     named_bars(axes, names, value, [np.minimum(error, 0.9 * value), error], colours)
     if len(value) and value.max() > 0:

@@ -13,6 +13,7 @@ from oracles.small_scenes import plates_text, write
 from mistray.coatings import CoatingTable, preset, spectrum
 
 SAMPLE = vectors.DATA / "coating_sample.dat"
+LINE = '<float name="wavelength_nm" value="10000"/></emitter>'
 
 
 def numbers(out: str, start: str) -> list[float]:
@@ -78,6 +79,11 @@ class TestCoating:
         assert path.stat().st_size > 5000
         assert sum(len(surface["names"]) for surface in answer["surfaces"]) >= 6
         assert {row["angle_deg"] for surface in answer["surfaces"] for row in surface["angles"]} == {0.0, 30.0}
+
+    def test_a_scene_of_one_invisible_line(self, capsys: Captured, tmp_path: Path) -> None:
+        scene = write(tmp_path, plates_text(1, "Ge").replace("</emitter>", LINE))
+        out = succeeds(capsys, "coating", scene, "--angles-deg", 0)
+        assert re.search(r"p0_front +bare +air +Ge +36\.0384\n", out)
 
     def test_a_folder_whose_name_could_be_a_coating(self, capsys: Captured, tmp_path: Path, monkeypatch: Patch) -> None:
         """Blanks, as between layers, or the ending of a table; the name of a preset is that of the preset."""

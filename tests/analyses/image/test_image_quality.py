@@ -69,7 +69,13 @@ def test_annular_pupil_line_and_edge():
     assert np.gradient(edge, x)[1:-1] == pytest.approx(line[1:-1], abs=0.02 * line.max())
     assert np.all(line > -1e-3 * line.max())
     # Beyond, the image is repeated
-    each_refused((lambda: axis.line_spread([0.0, 1.01 * axis.largest_radius_mm]), "x_mm reach from 0 to"))
+    each_refused(
+        (lambda: axis.line_spread([0.0, 1.01 * axis.largest_radius_mm]), "x_mm reach from 0 to"),
+        (lambda: axis.rms_waves("defocus"), "removed is 'defocus'; give 'piston', 'tilt' or 'focus'"),
+        (lambda: axis.psf(16, line=1), "line is 1; it must be a whole number between -1 and 0"),
+        (lambda: axis.mtf(5.0, None), "azimuth is None"),
+    )
+    assert axis.psf(16.0, line=-1).values.shape == (16, 16)
 
 
 def test_coma_and_scale():
@@ -171,6 +177,15 @@ def test_wavelengths_count_by_the_light_that_arrives():
     assert found.shares == pytest.approx(light / light.sum(), rel=2e-3)
 
 
+def test_spots_are_right_where_the_rim_is_steep():
+    """A sag of A r¹² sends light 24 A f r¹¹ aside: RMS 24 A f R¹¹/√12 over a disc, to (R/f)²/2 = 0.8 %."""
+    A, scene = 1e-17, paraboloid()
+    scene["mirror"]["a12"] = A
+    (found,) = mistray.image_quality(mistray.load(scene), 0.0, grid=16)
+    expected = 24 * A * FOCAL * RADIUS**11 / math.sqrt(12 * (1 - OBSTRUCTION**2))
+    assert found.rms_spot_mm() == pytest.approx(expected, rel=0.02)
+
+
 def test_what_has_no_psf_and_what_is_refused():
     """A point at 300 mm before a lens that is focused at infinity: the spot is there, a note says why MTF is not."""
     found = mistray.image_quality(mistray.load("cooke_triplet", "point:0,0,-300"), field_mm=5.0)
@@ -183,6 +198,7 @@ def test_what_has_no_psf_and_what_is_refused():
     del blind["mirror"]
     each_refused(
         (mistray.load("cooke_triplet"), {"field_deg": 60.0}, r"field 60°.*no light"),
+        (mistray.load("cooke_triplet"), {"field_deg": 14.0, "reference_radius_mm": 0.01}, "miss so small a sphere"),
         (scene, {"stop": "nobody"}, "'nobody'"),
         (mistray.load(blind), {}, "no image"),
         (mistray.load("cooke_triplet", "laser:0,0,-50,waist_x=1,waist_y=1"), {}, "neither far away nor a point"),

@@ -336,13 +336,17 @@ class TestCavity:
 
 
 def test_media_absorb_and_walls_emit(load: Load) -> None:
-    """Constant k and index 1: 1 - exp(-4πk t/(λ cos θ)) over angle and band; interpolation in λ costs 1e-3."""
+    """
+    Constant k and index 1: 1 - exp(-4πk t/(λ cos θ)) over angle and band; interpolation in λ costs 1e-3.
+
+    Two names of one medium: the first is in the table, and the other holds for the temperature, too.
+    """
     k, thickness, near = 2e-4, 5.0, 1.0
-    medium = f"1+{k:g}i"
+    medium, other = f"1+{k:g}i", f"1.0+{k:.5f}i"
     scene = load(
         detector_xml(),
         placed_xml("asphere", "rear", interface_xml(medium, "air"), at=(0, 0, -near), semi_diameter=50.0),
-        placed_xml("asphere", "front", interface_xml("air", medium), at=(0, 0, -near - thickness), semi_diameter=50.0),
+        placed_xml("asphere", "front", interface_xml("air", other), at=(0, 0, -near - thickness), semi_diameter=50.0),
         placed_xml("asphere", "stop", at=(0, 0, -0.5), semi_diameter=60.0, inner_semi_diameter=0.5 * math.tan(0.5)),
     )
     report = thermal(scene, 350.0, (3.0, 5.0), temperatures={medium: 300.0}, rays=100_000, seed=5)
@@ -354,10 +358,10 @@ def test_media_absorb_and_walls_emit(load: Load) -> None:
 
     expected = math.pi * quad(lambda w: absorbed(w) * float(planck.spectral_radiance(w, 300.0)), 3, 5)[0]
     (slab,) = (e for e in report.emitters if e.kind == "medium")
-    assert (slab.name, slab.temperature_K) == (medium, 300.0)
+    assert (slab.name, slab.temperature_K) == (other, 300.0)
     assert slab.irradiance_W_mm2.se < 0.01 * expected
     assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
-    assert f"({medium})" in report.by_part()
+    assert f"({other})" in report.by_part()
     sheets = {"dark": (0.1, 0.0), "half": (0.1, 0.5), "clear": (0.25, 0.75)}
     shapes = [
         placed_xml("asphere", name, interface_xml(R=R, T=T), at=(0, 0, -9 + k), semi_diameter=1.0)
@@ -403,6 +407,8 @@ class TestWavelengths:
             else:
                 assert {8.0, 10.0, 12.0} <= set(found.wavelengths_um)
                 assert 0 <= found.error <= 0.01
+                # What is so cold has no light in the band
+                assert traced_wavelengths(scene, None, BAND, [293.0, 0.1]) == found
 
     @pytest.mark.parametrize(
         ("material", "thick_mm", "band"),

@@ -237,6 +237,16 @@ def test_smooth_mirrors_wavelengths_and_errors(load_scene):
     assert 0.85 < pooled < 1.15, ratio
 
 
+@pytest.mark.long
+def test_a_wavelength_that_a_time_budget_leaves_out_counts_with_the_nearest(load_scene, monkeypatch):
+    scene, light = load_scene(paraboloid_text()), {"wavelength_nm": [500, 540, 700, 750], "weights": [2, 1, 1, 2]}
+    quality = mistray.image_quality(scene, grid=32, **light)
+    monkeypatch.setattr("mistray.execute.wavelength_choice.in_time", lambda *_: 2)
+    (found,) = mistray.transfer(scene, quality=quality, rays=1000, frequencies_per_mm=[0, 20, 50], seconds=300)
+    assert sorted(found.spread.by_line) == [500, 750]
+    np.testing.assert_allclose(found.composite().value, found.without_stray(), atol=1e-6)
+
+
 def test_refused(load_scene):
     scene = load_scene(paraboloid_text())
     quality = mistray.image_quality(scene)

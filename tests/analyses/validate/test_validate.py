@@ -142,11 +142,12 @@ def test_own_numbers(folder: Path, capsys: Captured) -> None:
     assert [row["verdict"] for row in found["rows"]] == [AGREES, AGREES]
     (folder / "deeper").mkdir()
     wrong, own = OWN.replace("0.990099", "0.98"), folder / "own.toml"
-    (folder / "deeper" / "more.toml").write_text(wrong.replace("coated.xml", "../coated.xml"), encoding="utf-8")
-    assert cli.main(["validate", "--own", "deeper/more.toml", "own.toml", "--rays", "2000", "--out", "out"]) == 1
+    (folder / "deeper" / "own.toml").write_text(wrong.replace("coated.xml", "../coated.xml"), encoding="utf-8")
+    assert cli.main(["validate", "--own", "deeper/own.toml", "own.toml", "--rays", "2000", "--out", "out"]) == 1
     text = capsys.readouterr().out
     assert "ghost: no reason is known; please report it" in text
     assert "4 numbers beside ours: 3 agree, 1 differ and should agree." in text
+    assert (text.count("agrees"), text.count("own_2: Two faces")) == (3, 1), "files of one name stay apart"
     html_pages.check((folder / "out" / "report.html").read_text(encoding="utf-8"))
     why = 'tolerance = 1e-6\ndiffers = "typed wrong"\nexpected = 0.990099'
     own.write_text(wrong.replace("tolerance = 1e-6", why))
