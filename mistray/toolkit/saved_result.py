@@ -34,7 +34,7 @@ from mistray.read_file import open_input
 from mistray.replace_file import replace_file
 from mistray.result import Result
 
-FORM = 2  # version of the content
+FORM = 3  # version of the content
 TEXT = "result.json"  # entry of the archive
 KIND = "kind"  # key of an object of JSON that stands for another value
 MOST_BYTES = 4 << 30  # largest size of an unpacked result
