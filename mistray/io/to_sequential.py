@@ -80,6 +80,7 @@ class _Walk:
         self.sense = 1.0  # of light along the frame's z axis
         self.material = ""
         self.last, self.vertex = "", np.zeros(3)
+        self.begin = 0.0  # z of the first row in the world, mm
 
     def sequential(self) -> Sequential:
         p = self.prescription
@@ -106,14 +107,7 @@ class _Walk:
             self.notes.append(f"structure is left out ({len(p.structures)} shapes)")
         if any(surface.scatter for surface in p.surfaces):
             self.notes.append("scatter is left out")
-        fields = [(0.0, 0.0)]
-        if source is not None and source.field_deg:
-            theta, azimuth = math.radians(source.field_deg), math.radians(source.azimuth_deg)
-            x, y = -math.tan(theta) * math.sin(azimuth), math.tan(theta) * math.cos(azimuth)
-            if isinstance(source, ObjectPoint):
-                fields.append((-source.distance * x, -source.distance * y))
-            else:
-                fields.append((math.degrees(math.atan(x)), math.degrees(math.atan(y))))
+        field, distance = ((0.0, 0.0), math.inf) if source is None else self._field(source)
         wavelengths: tuple[float, ...] = (_DEFAULT_NM,)
         weights: tuple[float, ...] = (1.0,)
         if source is not None and source.spectrum is None:
@@ -128,22 +122,39 @@ class _Walk:
             self.notes.append(
                 f"waves in the coating file are of {told} nm here, and of {wavelengths[primary]:g} nm there"
             )
-        lens = Sequential(
+        return Sequential(
             name=p.name,
             rows=tuple(self.rows),
             source=f"mistray prescription '{p.name}'",
             object_material=start,
-            fields=tuple(fields),
+            object_distance=distance,
+            field_kind="angle_deg" if math.isinf(distance) else "object_height",
+            fields=tuple(dict.fromkeys([(0.0, 0.0), field])),
             wavelengths_nm=wavelengths,
             weights=weights,
             primary=primary,
         )
-        if not isinstance(source, ObjectPoint):
-            return lens
-        if source.x or source.y or any(source.tilt_deg):
-            self.notes.append("the object is moved aside or tilted; its plane is taken across the axis")
-        distance = p.surfaces[0].z - source.z + source.distance
-        return replace(lens, object_distance=distance, field_kind="object_height")
+
+    def _field(self, source: Source | ObjectPoint) -> tuple[tuple[float, float], float]:
+        """
+        Return the field (x, y) of a source, degrees or mm on the object, and the object's distance, mm, or ``inf``.
+
+        Raise `MistrayError` if collimated light does not travel along +z.
+        """
+        slope, azimuth = math.tan(math.radians(source.field_deg)), math.radians(source.azimuth_deg)
+        pose = source.to_world()
+        along = pose[:3, :3] @ [-slope * math.sin(azimuth), slope * math.cos(azimuth), 1.0]
+        if isinstance(source, ObjectPoint):
+            x, y, z = pose[:3, 3] - source.distance * along
+            return (float(x), float(y)), self.begin - float(z)
+        if along[2] <= 0:
+            raise MistrayError(
+                f"prescription '{self.prescription.name}': its source shines against the z axis; turn the system round"
+            )
+        if source.x or source.y:
+            self.notes.append("the beam is centred beside the axis; it is taken about the axis")
+        x, y = (round(math.degrees(math.atan(slope / along[2])), _DECIMALS) + 0.0 for slope in along[:2])
+        return (x, y), math.inf
 
     def _add(self, surface: Surface) -> None:
         pose = self._follow(surface.to_world(), surface.name)
@@ -206,8 +217,10 @@ class _Walk:
             turned = not np.allclose(step[:3, :3], np.eye(3), atol=_TINY)
             aside = False
         x, y, z = (round(float(value), _DECIMALS) + 0.0 for value in step[:3, 3])
-        if self.rows:  # the table begins at the first vertex
+        if self.rows:
             self.rows[-1] = replace(self.rows[-1], thickness=z)
+        else:  # the table begins at the first vertex
+            self.begin = z
         if aside or turned:
             tilt = _tilts(step[:3, :3])
             row = replace(row, decentre=Decentre(x=x if aside else 0.0, y=y if aside else 0.0, tilt_deg=tilt))

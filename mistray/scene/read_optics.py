@@ -258,7 +258,7 @@ class _Reader:
         where, values = "source", self.file.values(element)
         names = ("radius", "half_width", "half_height", "pupil_area")
         sizes: dict[str, Any] = {key: self._number(where, values, key) for key in names if key in values}
-        return Source(**sizes, **self._light(where, values))
+        return Source(**sizes, **_placed(self._to_world(element, where)), **self._light(where, values))
 
     def _object_point(self, element: Element) -> ObjectPoint:
         where, values = "source", self.file.values(element)

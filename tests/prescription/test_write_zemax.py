@@ -8,7 +8,7 @@ import peers
 import pytest
 import vectors
 from command_line import fails, run
-from refusals import each_refused
+from refusals import each_refused, refused
 
 from mistray.io import read_zemax, to_sequential, write_zemax
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
@@ -273,6 +273,21 @@ def test_the_stop_surfaces_from_behind_and_what_is_refused():
         by=lambda surfaces, detector: to_sequential(Prescription(name="camera", surfaces=surfaces, detector=detector)),
         pattern="camera.*({})",
     )
+
+
+def test_fields_of_tilted_sources_and_the_distance_of_an_object_from_a_stop_in_front():
+    surfaces = (Surface("front", semi_diameter=5.0, back="1.5"), Surface("rear", z=4, semi_diameter=8.0, front="1.5"))
+    lens = Prescription(name="x", surfaces=surfaces, detector=Detector(z=12.0, semi_diameter=3.0))
+    beam = Source(radius=2.0, y=1.0, field_deg=3.0, tilt_deg=(-10.0, 0.0, 0.0))
+    found = to_sequential(replace(lens, source=beam))
+    assert found.fields[1] == pytest.approx((0.0, 13.0))
+    assert "the beam is centred beside the axis; it is taken about the axis" in found.notes
+    point = ObjectPoint(x=1.0, z=-20.0, distance=100.0, tilt_deg=(0.0, 30.0, 0.0))
+    found = to_sequential(replace(lens, stop=Stop(1.0, -25.0, -25.0, 9.0, 9.0), source=point))
+    assert found.object_distance == pytest.approx(100 * math.cos(math.radians(30)) - 5)  # from the stop, the first row
+    assert found.fields[1] == pytest.approx((1 - 50.0, 0.0))
+    with refused("prescription 'x': its source shines against the z axis"):
+        to_sequential(replace(lens, source=replace(beam, tilt_deg=(0.0, 180.0, 0.0))))
 
 
 @pytest.mark.parametrize("name", [*exported_lenses.SCENES, "three_mirror_telescope"])  # mirrors off the axis
