@@ -103,9 +103,7 @@ def _set(sections: Sections, line: ZemaxLine) -> None:
     if line.key in _OF_SURFACE:
         if not 0 <= place < len(sections.surfaces):
             raise line.error(f"{line.key} of surface {place}; the lens has surfaces 0 to {len(sections.surfaces) - 1}")
-        value = line.value(2)
-        infinite = line.key == "THIC" and place == 0 and value >= 1e10
-        _replace(sections.surfaces[place], _OF_SURFACE[line.key], 0, "INFINITY" if infinite else repr(value), line)
+        _replace(sections.surfaces[place], _OF_SURFACE[line.key], 0, repr(line.value(2)), line)
     elif line.key in _OF_FIELD:
         if place < 1:
             raise line.error(f"{line.key} of field {place}; they are numbered from 1 on")
