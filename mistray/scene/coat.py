@@ -21,6 +21,7 @@ from mistray.replace_file import replace_file
 from mistray.scene.add_structures import shared_objects
 from mistray.scene.depth import check_source
 from mistray.scene.load import Parts, find, load_text
+from mistray.scene.read_optics import light_nm
 from mistray.scene.recoat import COATED, Refit, refitted
 from mistray.scene.surface_rules import (
     Change,
@@ -220,7 +221,7 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     shared = dict(shared_objects(file))
     home = str(path.parent)
     comments = "\n".join(file.data[start:end].decode() for start, end in file.comments)
-    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, light_nm(file), comments)
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, light_nm(path), comments)
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}
@@ -259,7 +260,8 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
         )
         for shape in shapes
     ]
-    names, light = [shape.name for shape in shapes], () if system.source is None else system.source.wavelength_nm
+    names = [shape.name for shape in shapes]
+    light = () if system.source is None else tuple(map(float, system.source.light.wavelengths_nm))
     painter = Painter(
         f"prescription '{system.name}'", faces, shared, names, light_nm=light, provenance=system.provenance
     )
@@ -314,15 +316,6 @@ def faces_of(file: SceneFile) -> list[Face]:
             )
         )
     return found
-
-
-def light_nm(file: SceneFile) -> tuple[float, ...]:
-    """Return the wavelengths, nm, listed by the first source of a scene file; empty if it lists none."""
-    for element in file.root.children:
-        if element.tag == "emitter":
-            words = file.values(element).get("wavelength_nm", "").replace(",", " ").split()
-            return tuple(number for word in words if (number := number_of(word)) is not None)
-    return ()
 
 
 def _is_opaque(coating: Mapping[str, str]) -> bool:

@@ -29,7 +29,7 @@ from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import GRID, RADII, length_power
 from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
-from mistray.prescription.spectral import DEFAULT_NM
+from mistray.prescription.spectral import DEFAULT_NM, Spectral
 from mistray.scene.depth import check_source
 from mistray.scene.load import find
 from mistray.scene.recoat import COATED
@@ -65,6 +65,23 @@ def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
     """
     path = find(source)
     return _Reader(path, str(source)).read()
+
+
+def light_nm(path: Path) -> tuple[float, ...]:
+    """
+    Return the wavelengths, nm, of the first source of a scene file, or the ends of the band of its own emission.
+
+    The result is empty if there is no source, or it states no wavelengths. Raise `MistrayError` as `read_optics` does.
+    """
+    reader = _Reader(path, "")
+    for element in reader.file.root.children:
+        if element.tag == "emitter":
+            values = reader.file.values(element)
+            light = reader.spectral("source", values)
+            if light["spectrum"] is not None:
+                return tuple(map(float, Spectral(**light).light.wavelengths_nm))
+            return light["wavelength_nm"] if "wavelength_nm" in values else light["band_nm"] or ()
+    return ()
 
 
 class _Reader:
@@ -161,9 +178,7 @@ class _Reader:
         """
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table", "first") if key in values}
         recipe |= {"mirror": True} if is_true(values.get("opaque", "")) else {}
-        for key in {"n_shift", "k_shift"} & values.keys():
-            words = values[key].replace(",", " ").split()
-            recipe[key] = tuple(self._number(where, {key: word}, key) for word in words)
+        recipe |= {key: self._numbers(where, values, key) for key in ("n_shift", "k_shift") if key in values}
         return recipe | {key: self._number(where, values, key) for key in ("R", "T", "design_nm") if key in values}
 
     def _form(self, element: Element, label: str) -> dict[str, Any]:
@@ -275,22 +290,30 @@ class _Reader:
 
         A value that is not of numbers raises `MistrayError`.
         """
-        names = [key for key in ("wavelength_nm", "weights", "band_nm", "stokes") if key in values]
-        lists = {key: values[key].replace(",", " ").split() for key in names}
-        numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}
         angle = "polarization_deg"
         return {
             "field_deg": self._number(where, values, "field_deg", 0.0),
             "azimuth_deg": self._number(where, values, "azimuth_deg", 0.0),
-            "wavelength_nm": numbers.get("wavelength_nm", DEFAULT_NM),
-            "weights": numbers.get("weights"),
-            "spectrum": self._beside(values["spectrum"]) if "spectrum" in values else None,
-            "band_nm": numbers.get("band_nm"),
-            "bands": int(self._number(where, values, "bands")) if "bands" in values else None,
-            "stokes": numbers.get("stokes"),
+            **self.spectral(where, values),
+            "stokes": self._numbers(where, values, "stokes"),
             "jones": jones_numbers(where, values["jones"]) if "jones" in values else None,
             angle: self._number(where, values, angle) if angle in values else None,
         }
+
+    def spectral(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
+        """Return the wavelengths or the spectrum of a source as arguments of `Spectral`, or raise as `_light` does."""
+        return {
+            "wavelength_nm": self._numbers(where, values, "wavelength_nm") or DEFAULT_NM,
+            "weights": self._numbers(where, values, "weights"),
+            "spectrum": self._beside(values["spectrum"]) if "spectrum" in values else None,
+            "band_nm": self._numbers(where, values, "band_nm"),
+            "bands": int(self._number(where, values, "bands")) if "bands" in values else None,
+        }
+
+    def _numbers(self, where: str, values: Mapping[str, str], key: str) -> tuple[float, ...] | None:
+        if key not in values:
+            return None
+        return tuple(self._number(where, {key: word}, key) for word in values[key].replace(",", " ").split())
 
     def _beside(self, text: str) -> str:
         """Return the path of a file beside the scene, or in its ``<path>``, from the current folder; else the text."""

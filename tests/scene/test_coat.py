@@ -1,6 +1,7 @@
 """Coatings, paint and scatter put on surfaces by patterns: what they do to light, what changes in a file."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ import mistray
 from mistray.coatings import Layer, Stack, fitted_preset, preset
 from mistray.prescription import Detector, Prescription, Source, Stop, Surface
 from mistray.scene import Rules, find, write_coated
+from mistray.scene.coat import coated_prescription
 from mistray.scene.recoat import SharedCoating, recoated, write_recoated
 from mistray.scene.source import source_of
 
@@ -310,6 +312,21 @@ class TestWhatChanges:
         assert '<float name="design_nm" value="10600"/>' in text
         mirror = SharedCoating("mirror", preset("protected_al"), ("L1_front",))
         assert '<boolean name="opaque" value="true"/>' in recoated(TRIPLET, [mirror], tmp_path)
+
+
+INFRARED = {"spectrum": "blackbody:300", "band_nm": (8000.0, 12000.0)}
+
+
+@pytest.mark.parametrize(
+    ("light", "nm"),
+    [({"wavelength_nm": (8000.0, 12000.0)}, 1e4), (INFRARED, 1e4), ({"spectrum": "F C"}, 550.0), ({}, 550.0)],
+)
+def test_waves_are_those_of_the_light(light: dict[str, object], nm: float, tmp_path: Path) -> None:
+    system = replace(lens(), source=Source(radius=2.0, **light))
+    system.to_xml(tmp_path / "plate.xml")
+    rules = Rules(coatings={"B": "ZnS 0.25w"})
+    for found in coated_prescription(system, rules)[1], write_coated(tmp_path / "plate.xml", tmp_path / "b.xml", rules):
+        assert found.changes["B_rear"].coating.design_nm == pytest.approx(nm, rel=1e-3)
 
 
 def test_files_that_are_refused(tmp_path: Path) -> None:
