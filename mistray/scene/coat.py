@@ -219,9 +219,8 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
-    home = str(path.parent)
     comments = "\n".join(file.data[start:end].decode() for start, end in file.comments)
-    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, light_nm(path), comments)
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, file.beside, light_nm(path), comments)
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.sag_grid import read_sag_grid
+from mistray.materials import resolved
 from mistray.named_values import number_of
 from mistray.physics.geometry.outline import outline_of
 from mistray.physics.geometry.pose import fixed_angles_deg, moved, rotation
@@ -90,10 +90,6 @@ class _Reader:
         if any(element.tag == "include" for element in self.file.root.walk()):
             check_source(path)  # or the files might have no end
             self.file = _whole(path, [])
-        self.folders = [path.parent]
-        for element in self.file.root.walk():
-            if element.tag == "path":
-                self.folders = behind_path(self.folders, filled(element.values.get("value", ""), self.file.defaults))
         self.name = Path(name).stem if Path(name).suffix else name
 
     def read(self) -> tuple[Prescription, tuple[str, ...]]:
@@ -154,7 +150,7 @@ class _Reader:
         coating, opaque = self._coating(found[1], values)
         if opaque and not mirror:
             return None
-        front, back = values.get("front", "air"), values.get("back", "air")
+        front, back = (resolved(values.get(side, "air"), self.file.beside) for side in ("front", "back"))
         form = self._form(element, label)
         return Surface(label, **form, front=front, back=back, coating=coating, mirror=mirror)
 
@@ -214,7 +210,7 @@ class _Reader:
             if key in values and key != "radius":
                 sag[curvature] = 1 / (number(key) or math.inf)
         if GRID in values:
-            path = self._beside(values[GRID])
+            path = self.file.beside(values[GRID])
             sag[GRID] = Grid.of_values(*read_sag_grid(path), path)
         outline = outline_of(values, number, f"scene '{self.file.path}', {where}")
         return {"sag": sag, "outline": outline, "meets": values.get("meets", "both")}
@@ -305,7 +301,7 @@ class _Reader:
         return {
             "wavelength_nm": self._numbers(where, values, "wavelength_nm") or DEFAULT_NM,
             "weights": self._numbers(where, values, "weights"),
-            "spectrum": self._beside(values["spectrum"]) if "spectrum" in values else None,
+            "spectrum": self.file.beside(values["spectrum"]) if "spectrum" in values else None,
             "band_nm": self._numbers(where, values, "band_nm"),
             "bands": int(self._number(where, values, "bands")) if "bands" in values else None,
         }
@@ -314,11 +310,6 @@ class _Reader:
         if key not in values:
             return None
         return tuple(self._number(where, {key: word}, key) for word in values[key].replace(",", " ").split())
-
-    def _beside(self, text: str) -> str:
-        """Return the path of a file beside the scene, or in its ``<path>``, from the current folder; else the text."""
-        # os.path.isfile, because that of Path raises for a long text
-        return next((str(folder / text) for folder in self.folders if os.path.isfile(folder / text)), text)
 
 
 def _whole(path: Path, folders: list[Path]) -> SceneFile:

@@ -179,6 +179,20 @@ class SceneFile:
                 found.setdefault(element.values.get("name", ""), element.values.get("value", ""))
         return found
 
+    @cached_property
+    def _folders(self) -> list[Path]:
+        """Folders in which files named by the scene are searched: its own, those of its ``<path>``, the current one."""
+        found = [self.path.parent, Path()]
+        for element in self.root.walk():
+            if element.tag == "path":
+                found = behind_path(found, filled(element.values.get("value", ""), self.defaults))
+        return found
+
+    def beside(self, name: str) -> str:
+        """Return the path from the current folder of a file that the scene names; the name itself if there is none."""
+        # os.path.isfile, because that of Path raises for a long name
+        return next((str(folder / name) for folder in self._folders if os.path.isfile(folder / name)), name)
+
     def values(self, element: Element) -> dict[str, str]:
         """
         Return the values of an element's properties, keyed by name; ``$name`` is replaced by its default.

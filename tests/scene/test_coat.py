@@ -14,9 +14,11 @@ from scene.test_rewrite import changes
 
 import mistray
 from mistray.coatings import Layer, Stack, fitted_preset, preset
+from mistray.materials import refractive_index
 from mistray.prescription import Detector, Prescription, Source, Stop, Surface
 from mistray.scene import Rules, find, write_coated
 from mistray.scene.coat import coated_prescription
+from mistray.scene.read_optics import read_optics
 from mistray.scene.recoat import SharedCoating, recoated, write_recoated
 from mistray.scene.source import source_of
 
@@ -180,6 +182,9 @@ class TestPatterns:
         (tmp_path / "scene" / "out").mkdir()
         rules, expected = {"rear": "R=0 T=1"}, pytest.approx(passed(1, 1.4), rel=2e-6)
         assert direct(mistray.coat(file, rules)) == expected
+        assert refractive_index(read_optics("scene/scene.xml")[0].surfaces[0].back, 550.0) == 1.4
+        fitted = mistray.coat(file, {"rear": "bbar3"})  # to the index of the glass
+        assert direct(fitted) == pytest.approx(passed(1, 1.4), abs=5e-3)
         write_coated("scene/scene.xml", "scene/out/new.xml", Rules(rules))
         assert direct(mistray.load("scene/out/new.xml")) == expected
         monkeypatch.chdir("/")
