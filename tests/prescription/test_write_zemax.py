@@ -184,8 +184,10 @@ def test_glasses(tmp_path):
 def test_what_no_file_holds_is_refused(tmp_path):
     odd = Sequential("lens", (Row(1, label="front", sag={"curvature_x": 0.1, "r3": 1e-3}), IMAGE), aperture=1.0)
     many = {"wavelengths_nm": tuple(range(400, 425)), "weights": (1.0,) * 25}
+    shifted = Sequential("lens", (Row(1, sag={"xy_0_0": 1.0}), IMAGE), aperture=1.0)
     each_refused(
         (odd, r"surface 1 'front'.*r3"),
+        (shifted, "surface 1 ''.*xy_0_0"),
         (Sequential("lens", (Row(1), IMAGE), aperture=1.0, **many), "lens 'lens': 25 wavelengths"),
         by=lambda lens: write_zemax(lens, tmp_path / "lens.zmx"),
     )
