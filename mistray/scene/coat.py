@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, overload
 
-from mistray.coatings import PRESETS
+from mistray.coatings import PRESETS, read_coating
 from mistray.errors import MistrayError
 from mistray.named_values import number_of
 from mistray.prescription import Prescription
@@ -247,11 +247,16 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
     """
     shapes = list(system.shapes())
     shared: dict[str, Coating | Scatter] = {**system.shared_coatings(), **system.shared_scatter()}
+
+    def opaque(shape: Any) -> bool:
+        ruled = any(Face(shape.name, shape.part).fits(pattern) for pattern in rules.coatings)  # others need no table
+        return shape.coating is not None and (shape.coating.blocks() if ruled else shape.coating.opaque)
+
     faces = [
         Face(
             shape.name,
             shape.part,
-            opaque=shape.coating is not None and shape.coating.opaque,
+            opaque=opaque(shape),
             mirror=bool(getattr(shape, "mirror", False)),
             cemented=not (is_gas(shape.front) or is_gas(shape.back)),
             front=shape.front,
@@ -307,7 +312,7 @@ def faces_of(file: SceneFile) -> list[Face]:
             Face(
                 name,
                 part,
-                opaque=_is_opaque(coating),
+                opaque=_is_opaque(coating, file.beside),
                 mirror=is_true(values.get("mirror", "")),
                 cemented=not any(is_gas(values.get(side, "air")) for side in ("front", "back")),
                 front=values.get("front", "air"),
@@ -317,8 +322,11 @@ def faces_of(file: SceneFile) -> list[Face]:
     return found
 
 
-def _is_opaque(coating: Mapping[str, str]) -> bool:
-    """True if the properties of a coating in a scene file say that it transmits no light."""
+def _is_opaque(coating: Mapping[str, str], beside: Callable[[str], str]) -> bool:
+    """True if the properties of a coating in a scene file, or its table, found by `beside`, let no light through."""
     if is_true(coating.get("opaque", "")) or getattr(PRESETS.get(coating.get("preset", "")), "metal", None) is not None:
         return True
+    if "table" in coating:
+        design_nm = number_of(coating.get("design_nm", "")) or Coating.design_nm
+        return read_coating(coating["table"], design_nm, resolve=beside).opaque
     return "R" in coating and number_of(coating.get("T", "0")) == 0

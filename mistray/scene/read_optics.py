@@ -158,12 +158,12 @@ class _Reader:
         """Return the coating of a BSDF, None for a bare surface, and whether it transmits no light."""
         if element.values["type"] == "interface" and ("R" in values or "table" in values):
             coating = Coating(**self._recipe("an interface", values))
-            return coating, coating.opaque
+            return coating, coating.blocks(self.file.beside)
         for film in (element, *map(self.file.meant, element.children)):
             if film is not None and film.values.get("type") == "thinfilm":
                 values = self.file.values(film)
                 coating = Coating(**self._recipe("a thinfilm", values), name=film.values.get("id"))
-                return coating, coating.opaque
+                return coating, coating.blocks(self.file.beside)
         return None, False
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from mistray.coatings import fitted_preset, layer_text, read_coating
+from mistray.coatings import fitted_preset, layer_text
 from mistray.errors import MistrayError, errors_of
 from mistray.ids import fits, plain_name
 from mistray.materials import resolved
@@ -286,10 +286,8 @@ class Painter:
 
     def _closed(self, coating: Coating | None) -> bool:
         """True if a coating is known to transmit no light."""
-        if coating is None or coating.table is None or coating.mirror:
-            return coating is not None and coating.opaque
-        resolve = self._beside if self._coatings.get(coating.name or "") == coating else str
-        return read_coating(coating.table, coating.design_nm, resolve=resolve).opaque
+        own = coating is not None and self._coatings.get(coating.name or "") == coating
+        return coating is not None and coating.blocks(self._beside if own else str)
 
     def _finish(self, paint: str | float | Finish) -> Finish:
         if isinstance(paint, Finish):

@@ -15,7 +15,7 @@ from scene.test_rewrite import changes
 import mistray
 from mistray.coatings import Layer, Stack, fitted_preset, preset
 from mistray.materials import refractive_index
-from mistray.prescription import Detector, Prescription, Source, Stop, Surface
+from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
 from mistray.scene import Rules, find, write_coated
 from mistray.scene.coat import coated_prescription
 from mistray.scene.read_optics import read_optics
@@ -144,6 +144,16 @@ class TestPatterns:
         assert set(found.changes) == {"primary", "diagonal"}
         with refused("'primary=bbar3': 'primary' is opaque; give an opaque coating"):
             write_coated("newtonian", tmp_path / "no.xml", Rules({"primary": "bbar3"}))
+
+    def test_what_a_table_blocks(self, tmp_path: Path, monkeypatch: Patch) -> None:
+        """A detector whose table transmits nothing is no clear surface."""
+        (tmp_path / "t.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,0.1,0\n550,90,0.1,0\n")
+        monkeypatch.chdir(tmp_path)
+        detector = replace(lens().detector, coating=Coating(table="t.csv"))
+        system, rules = replace(lens(), detector=detector), Rules({"*": "bbar3"})
+        system.to_xml("t.xml")
+        for found in coated_prescription(system, rules)[1], write_coated("t.xml", "new.xml", rules):
+            assert set(found.changes) == {"A front", "B_rear"}
 
     def test_names_of_the_scene(self, file: Path, tmp_path: Path) -> None:
         """What the scene has by a name is referred to; a new one of the same values too; another one gets a number."""

@@ -21,6 +21,7 @@ from mistray.scenes.phone_camera.prescription import build as phone_camera
 pytestmark = pytest.mark.quick
 
 GLASS = '<bsdf type="interface"><string name="back" value="N-BK7"/></bsdf>'
+BLIND = '<bsdf type="interface"><string name="table" value="blind.csv"/></bsdf>'
 SCENE = vectors.text("optics.xml")
 KEYS = ("name", "curvature", "conic", "coefficients", "semi_diameter", "half_width", "front", "back", "mirror")
 
@@ -57,7 +58,9 @@ def test_surfaces_of_a_shipped_scene_are_those_of_its_prescription(name, build):
     assert found.source.wavelength_nm == expected.source.wavelength_nm
 
 
-def test_what_a_scene_may_say_and_its_coatings(read):
+def test_what_a_scene_may_say_and_its_coatings(read, tmp_path):
+    (tmp_path / "COATING.DAT").write_text("MATE MGF2\n0.55 1.38 0\nCOAT AR\nMGF2 0.25\n")
+    (tmp_path / "blind.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,0.1,0\n550,90,0.1,0\n")
     steps = '<rotate x="-1" angle="20"/><rotate z="1" angle="30"/><translate value="1 2 3"/>'
     shifted = (number("x", 0.5), number("tilt_y", 5), f'<transform name="to_world">{steps}</transform>')
     frustum = "".join(number(key, value) for key, value in {"r0": 3, "z0": 9, "r1": 8, "z1": 9}.items())
@@ -81,6 +84,7 @@ def test_what_a_scene_may_say_and_its_coatings(read):
     assert (source.radius, source.field_deg) == (4.0, 10.0)
     assert (source.wavelength_nm, source.weights) == ((486.1, 656.3), (1.0, 3.0))
     assert prescription.name == "camera"
+    assert read(shape(bsdf=BLIND), shape(name="rear"))[1] == ("front",)
     films = {
         '<string name="preset" value="bbar3"/>': Coating(preset="bbar3", name="ar"),
         '<string name="layers" value="MgF2 100"/>': Coating(layers="MgF2 100", name="ar"),
