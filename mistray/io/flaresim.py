@@ -265,7 +265,7 @@ def _table(file: _File, notes: list[str]) -> Sequential:
             )
         material = "air"
         if glass:
-            material = f"nd={item.index:g} Vd={item.abbe:g} k=0" if item.abbe > 0 else f"{item.index:g} k=0"
+            material = f"nd={item.index!r} Vd={item.abbe!r} k=0" if item.abbe > 0 else f"{item.index!r} k=0"
         in_air = (before == "air") != (material == "air")
         coated += in_air and item.layers > 0
         bare += in_air and item.layers == 0
