@@ -376,7 +376,11 @@ def _reach(row: Row) -> float:
 
 
 def _clip(surface: Surface) -> tuple[float, bool, Outline | None]:
-    """Return the semi-diameter of a surface, mm, True if its rim stops light, and its outline (None for a disc)."""
+    """
+    Return the semi-diameter of a surface, mm, whether it alone bounds the surface, and its outline, None for a disc.
+
+    The semi-diameter of a rectangle or another outline is the largest distance from the axis.
+    """
     if surface.outline is not None:
         return surface.outer_radius, False, surface.outline
     if surface.semi_diameter is None:

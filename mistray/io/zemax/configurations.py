@@ -33,7 +33,7 @@ _OF_FIELD = {
 _APERTURES = ("ENPD", "FNUM", "OBNA")
 
 
-def at_configuration(sections: Sections, wanted: int | str | None) -> str:
+def at_configuration(sections: Sections, given: int | str | None) -> str:
     """
     Write the values of a configuration into the lines of the system and the surfaces.
 
@@ -41,7 +41,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     ----------
     sections : Sections
         Sections of the file; the lines of configurations are removed from the last one.
-    wanted : int, str or None
+    given : int, str or None
         Number of the configuration from 1 on, or its name; None means the one that the file was saved in.
 
     Returns
@@ -61,7 +61,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     rows = _rows(sections.after, head)
     names = {_whole(line, 1): _name(line) for line in rows if line.key == "LTTL"}
     with errors_of(head.where if head else "lens"):
-        number, note = choose_position(wanted, saved, names, count, "configuration")
+        number, note = choose_position(given, saved, names, count, "configuration")
     if number == saved:
         return note
     for line in rows:
