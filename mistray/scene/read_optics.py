@@ -150,9 +150,11 @@ class _Reader:
         coating, opaque = self._coating(found[1], values)
         if opaque and not mirror:
             return None
-        front, back = (resolved(values.get(side, "air"), self.file.beside) for side in ("front", "back"))
-        form = self._form(element, label)
-        return Surface(label, **form, front=front, back=back, coating=coating, mirror=mirror)
+        return Surface(label, **self._form(element, label), **self._media(values), coating=coating, mirror=mirror)
+
+    def _media(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Return the materials on the sides of a surface, from the values of its BSDF, as arguments of `Surface`."""
+        return {side: resolved(values.get(side, "air"), self.file.beside) for side in ("front", "back")}
 
     def _coating(self, element: Element, values: Mapping[str, str]) -> tuple[Coating | None, bool]:
         """Return the coating of a BSDF, None for a bare surface, and whether it transmits no light."""
@@ -216,8 +218,10 @@ class _Reader:
         return {"sag": sag, "outline": outline, "meets": values.get("meets", "both")}
 
     def _detector(self, element: Element, label: str) -> Detector:
-        form = self._form(element, label)
-        return Detector(label, **form, pixels=_PIXELS)
+        found = self.file.surface(element)
+        coated = found is not None and found[1].values.get("type") in COATED
+        values = self.file.values(found[1]) if found is not None and coated else {}
+        return Detector(label, **self._form(element, label), **self._media(values), pixels=_PIXELS)
 
     def _to_world(self, element: Element, where: str) -> np.ndarray:
         pose = np.eye(4)

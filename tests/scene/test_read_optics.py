@@ -110,7 +110,7 @@ def test_freeforms_come_back(tmp_path):
         Surface("grid", z=9.0, semi_diameter=4.0, sag={"grid": Grid.of(np.eye(9), (1.0, 1.0)), "grid_scale": 1e-3}),
     )  # fmt: skip
     spider = Surface("spider", z=30.0, outline=rectangle(9.0, 0.1), coating=None)
-    detector = Detector(z=60.0, half_width=4.0, half_height=3.0)
+    detector = Detector(z=60.0, half_width=4.0, half_height=3.0, front="1.5")
     source = Source(radius=5.0, y=1.0, tilt_deg=(-10.0, 0.0, 20.0))
     lens = Prescription(name="x", surfaces=surfaces, structures=(spider,), detector=detector, source=source)
     lens.to_xml(tmp_path / "lens.xml")
@@ -122,6 +122,7 @@ def test_freeforms_come_back(tmp_path):
             assert getattr(ours, key) == getattr(theirs, key), (theirs.name, key)
         assert {**ours.sag, "grid": None} == {**theirs.sag, "grid": None}
     np.testing.assert_allclose(found.surfaces[3].sag["grid"].corners, surfaces[3].sag["grid"].corners)
+    assert found.detector.front == "1.5"
     np.testing.assert_allclose(found.source.to_world(), source.to_world(), atol=1e-12)
     assert left_out == ("spider",)  # mechanics, though light gets through
 
