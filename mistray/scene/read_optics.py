@@ -19,7 +19,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.sag_grid import read_sag_grid
-from mistray.materials import resolved
+from mistray.materials import resolved, shifted
 from mistray.named_values import number_of
 from mistray.physics.geometry.outline import outline_of
 from mistray.physics.geometry.pose import fixed_angles_deg, moved, rotation
@@ -150,11 +150,21 @@ class _Reader:
         coating, opaque = self._coating(found[1], values)
         if opaque and not mirror:
             return None
-        return Surface(label, **self._form(element, label), **self._media(values), coating=coating, mirror=mirror)
+        return Surface(
+            label, **self._form(element, label), **self._media(label, values), coating=coating, mirror=mirror
+        )
 
-    def _media(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Return the materials on the sides of a surface, from the values of its BSDF, as arguments of `Surface`."""
-        return {side: resolved(values.get(side, "air"), self.file.beside) for side in ("front", "back")}
+    def _media(self, label: str, values: Mapping[str, str]) -> dict[str, str]:
+        """
+        Return the materials on the sides of a surface, from the values of its BSDF, as arguments of `Surface`.
+
+        Shifts of their indices are included. One that is no number raises `MistrayError`.
+        """
+        found = {}
+        for side in ("front", "back"):
+            shift = self._number(f"shape '{label}'", values, f"n_{side}_shift", 0.0)
+            found[side] = shifted(resolved(values.get(side, "air"), self.file.beside), shift)
+        return found
 
     def _coating(self, element: Element, values: Mapping[str, str]) -> tuple[Coating | None, bool]:
         """Return the coating of a BSDF, None for a bare surface, and whether it transmits no light."""
@@ -221,7 +231,7 @@ class _Reader:
         found = self.file.surface(element)
         coated = found is not None and found[1].values.get("type") in COATED
         values = self.file.values(found[1]) if found is not None and coated else {}
-        return Detector(label, **self._form(element, label), **self._media(values), pixels=_PIXELS)
+        return Detector(label, **self._form(element, label), **self._media(label, values), pixels=_PIXELS)
 
     def _to_world(self, element: Element, where: str) -> np.ndarray:
         pose = np.eye(4)

@@ -84,6 +84,8 @@ def test_what_a_scene_may_say_and_its_coatings(read, tmp_path):
     assert (source.radius, source.field_deg) == (4.0, 10.0)
     assert (source.wavelength_nm, source.weights) == ((486.1, 656.3), (1.0, 3.0))
     assert prescription.name == "camera"
+    melt = GLASS.replace("/></bsdf>", f"/>{number('n_back_shift', 5e-4)}</bsdf>")
+    assert read(shape(bsdf=melt))[0].surfaces[0].back == "N-BK7 shift=0.0005"
     assert read(shape(bsdf=BLIND), shape(name="rear"))[1] == ("front",)
     films = {
         '<string name="preset" value="bbar3"/>': Coating(preset="bbar3", name="ar"),
