@@ -29,7 +29,9 @@ from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import GRID, RADII, length_power
 from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
+from mistray.prescription.scatter import Scatter
 from mistray.prescription.spectral import DEFAULT_NM, Spectral
+from mistray.scatter.kinds import KINDS
 from mistray.scene.depth import check_source
 from mistray.scene.load import find
 from mistray.scene.recoat import COATED
@@ -150,9 +152,24 @@ class _Reader:
         coating, opaque = self._coating(found[1], values)
         if opaque and not mirror:
             return None
-        return Surface(
-            label, **self._form(element, label), **self._media(label, values), coating=coating, mirror=mirror
-        )
+        form = self._form(element, label) | self._media(label, values) | {"scatter": self._scatter(label, found[1])}
+        return Surface(label, **form, coating=coating, mirror=mirror)
+
+    def _scatter(self, label: str, bsdf: Element) -> tuple[Scatter, ...]:
+        """Return the scatter models of a surface from its BSDF; a value that is no number raises `MistrayError`."""
+        found = []
+        for model in filter(None, map(self.file.meant, bsdf.children)):
+            if (kind := model.values.get("type", "")) in KINDS:
+                given: dict[str, Any] = dict(self.file.values(model))
+                for child in model.children:
+                    name = child.values.get("name", "")
+                    if child.tag in ("float", "integer"):
+                        number = self._number(f"shape '{label}', {kind}", given, name)
+                        given[name] = int(number) if child.tag == "integer" else number
+                    elif child.tag == "boolean":
+                        given[name] = is_true(given[name])
+                found.append(Scatter(kind, given))
+        return tuple(found)
 
     def _media(self, label: str, values: Mapping[str, str]) -> dict[str, str]:
         """

@@ -10,7 +10,7 @@ from refusals import each_refused, refused
 from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
 from mistray.physics.geometry.pose import moved
 from mistray.physics.sags.grid import Grid
-from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Surface
 from mistray.scene.depth import check_source
 from mistray.scene.files import scene_files
 from mistray.scene.load import shipped_scenes
@@ -86,6 +86,9 @@ def test_what_a_scene_may_say_and_its_coatings(read, tmp_path):
     assert prescription.name == "camera"
     melt = GLASS.replace("/></bsdf>", f"/>{number('n_back_shift', 5e-4)}</bsdf>")
     assert read(shape(bsdf=melt))[0].surfaces[0].back == "N-BK7 shift=0.0005"
+    polish = f'/><bsdf type="harvey_shack">{number("rms_nm", 4)}</bsdf></bsdf>'
+    scattering = read(shape(bsdf=GLASS.replace("/></bsdf>", polish)))[0]
+    assert scattering.surfaces[0].scatter == (Scatter("harvey_shack", {"rms_nm": 4.0}),)
     assert read(shape(bsdf=BLIND), shape(name="rear"))[1] == ("front",)
     films = {
         '<string name="preset" value="bbar3"/>': Coating(preset="bbar3", name="ar"),
