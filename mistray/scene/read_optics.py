@@ -2,8 +2,8 @@
 
 It reads shapes of type `asphere` and `freeform` whose `interface` transmits light or is a mirror, the detector, the
 aperture stop, and the source, also in scenes that the file includes. The stop is the frustums whose ``part`` is
-``stop``; the source is `collimated` or `point_source`. Everything else is structure, of which only the names are
-returned.
+``stop``; the source is `collimated` or `point_source`, and of others the wavelengths are read. Everything else is
+structure, of which only the names are returned.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ _COEFFICIENTS = tuple(f"a{2 * place}" for place in range(2, 2 + MAX_COEFFICIENTS
 _OPTICAL = ("asphere", "freeform")
 _STOP_PART = "stop"
 _PIXELS = (1, 1)
+_WIDE = 1e9  # mm: radius of a beam that fills any lens
 
 
 def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
@@ -56,7 +57,8 @@ def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
     Returns
     -------
     prescription : Prescription
-        Surfaces in the order of the file, stop, detector and source, without other structure.
+        Surfaces in the order of the file, stop, detector and source, without other structure. Its provenance is a note
+        on a source of another kind, which becomes a beam of the same wavelengths; "" if there is none.
     left_out : tuple of str
         Names of the shapes that are not in `prescription`.
 
@@ -76,14 +78,7 @@ def light_nm(path: Path) -> tuple[float, ...]:
     The result is empty if there is no source, or it states no wavelengths. Raise `MistrayError` as `read_optics` does.
     """
     reader = _Reader(path, "")
-    for element in reader.file.root.children:
-        if element.tag == "emitter":
-            values = reader.file.values(element)
-            light = reader.spectral("source", values)
-            if light["spectrum"] is not None:
-                return tuple(map(float, Spectral(**light).light.wavelengths_nm))
-            return light["wavelength_nm"] if "wavelength_nm" in values else light["band_nm"] or ()
-    return ()
+    return next((reader.lines(element) for element in reader.file.root.children if element.tag == "emitter"), ())
 
 
 class _Reader:
@@ -100,12 +95,15 @@ class _Reader:
         stop: list[Element] = []
         detector: Detector | None = None
         light: Source | ObjectPoint | None = None
+        others: list[Element] = []
         for element in self.file.root.children:
             kind = element.values.get("type")
             if element.tag == "emitter" and kind in ("collimated", "point_source"):
                 if light is not None:
                     raise MistrayError(f"scene '{self.file.path}': it has two sources; remove one to export")
                 light = self._source(element) if kind == "collimated" else self._object_point(element)
+            elif element.tag == "emitter":
+                others.append(element)
             if element.tag != "shape":
                 continue
             label = element.values.get("id", kind or "shape")
@@ -122,10 +120,34 @@ class _Reader:
                 stop.append(element)
             else:
                 left_out.append(label)
+        note = ""
+        if others and light is None:
+            light = Source(radius=_WIDE, **self._any_light(others[0]))
+            note = f"the source, '{others[0].values.get('type')}', is left out but for its wavelengths"
         prescription = Prescription(
-            name=self.name, surfaces=tuple(surfaces), stop=self._stop(stop), detector=detector, source=light
+            name=self.name,
+            surfaces=tuple(surfaces),
+            stop=self._stop(stop),
+            detector=detector,
+            source=light,
+            provenance=note,
         )
         return prescription, tuple(left_out)
+
+    def _any_light(self, element: Element) -> dict[str, Any]:
+        """Return the wavelengths or the spectrum of any source as arguments of `Spectral`."""
+        given = self.spectral("source", self.file.values(element))
+        if given["spectrum"] is None:  # the scene's own emission has a band alone
+            given |= {"wavelength_nm": self.lines(element) or DEFAULT_NM, "band_nm": None, "bands": None}
+        return given
+
+    def lines(self, element: Element) -> tuple[float, ...]:
+        """Return the wavelengths of a source, nm, or the ends of the band of the scene's own emission; () without."""
+        values = self.file.values(element)
+        light = self.spectral("source", values)
+        if light["spectrum"] is not None:
+            return tuple(map(float, Spectral(**light).light.wavelengths_nm))
+        return light["wavelength_nm"] if "wavelength_nm" in values else light["band_nm"] or ()
 
     def _number(self, where: str, values: Mapping[str, str], key: str, default: float | None = None) -> float:
         if key not in values and default is not None:

@@ -180,6 +180,24 @@ def test_light_and_stop_are_those_of_the_trace(read, tmp_path):
     assert (source.spectrum, source.band_nm, source.bands) == ("blackbody:3000", (500.0, 600.0), 2)
 
 
+@pytest.mark.parametrize(
+    ("kind", "light", "nm"),
+    [
+        ("sky", {"spectrum": "F C"}, (486.1, 656.3)),
+        ("point", {"wavelength_nm": "450 550"}, (450.0, 550.0)),
+        ("thermal", {"band_nm": "3000 5000"}, (3000.0, 5000.0)),
+        ("sky", {}, (550.0,)),
+    ],
+)
+def test_of_other_sources_the_wavelengths_are_read(tmp_path, kind, light, nm):
+    values = "".join(f'<string name="{key}" value="{value}"/>' for key, value in light.items())
+    scene = tmp_path / "scene.xml"
+    scene.write_text(f'<scene version="3.0.0"><emitter type="{kind}">{values}</emitter>{shape()}</scene>')
+    prescription, _ = read_optics(scene)
+    assert prescription.source.light.wavelengths_nm == pytest.approx(nm, abs=0.1)
+    assert prescription.provenance == f"the source, '{kind}', is left out but for its wavelengths"
+
+
 def test_surfaces_with_a_thinfilm_alone_and_in_an_included_scene(read, tmp_path):
     """A film that the scene says is opaque makes a wall; without that it is a clear coating."""
     metal = '<bsdf type="thinfilm">{}<string name="layers" value="Al 100"/><string name="back" value="N-BK7"/></bsdf>'
