@@ -104,6 +104,12 @@ class TestLight:
         assert [e.size[0] for e in again.emitters()] == [1.0]
         assert bsdfs(mistray.load(file))["B_rear"].film is None, "the file stays as it is"
 
+    def test_a_dict_travels_as_it_was_loaded(self) -> None:
+        given = lens().to_dict()
+        scene = mistray.load(given)
+        given["source"]["wavelength_nm"] = 700.0
+        assert source_of(scene).load().emitters()[0].wavelengths_nm == [550.0]
+
     def test_files_of_the_current_folder_travel(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """The faces of a plate name its glass by a file there, and by one in a path there."""
         for name in ("1.csv", "glasses/2.csv"):
