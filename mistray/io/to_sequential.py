@@ -264,17 +264,28 @@ class _Walk:
 
     def _stop_place(self) -> int | None:
         """
-        Return the index of the surface before which the stop stands, in the order in which light meets them.
+        Return the index of the surface before which light along the axis first meets the stop.
 
-        It is the number of surfaces if the stop is behind all, and None without a stop.
+        It is the number of surfaces if the stop is behind all, and that of the first surface off the axis if it is not
+        ahead of this. None: there is no stop.
         """
         p = self.prescription
         if p.stop is None:
             return None
+        sense, passed = (
+            1.0,
+            True,
+        )  # of the light along z, and whether it is past the last surface when it is at the stop
         for place, surface in enumerate(p.surfaces):
-            r = min(p.stop.radius, surface.outer_radius)
-            if surface.mirror or not surface.coaxial or float(surface.z_at(r)) >= p.stop.z_front - _TINY:
+            along = float(surface.to_world()[2, 2])
+            if math.hypot(surface.x, surface.y) > _TINY or abs(along) < 1 - _TINY:
                 return place
+            r = min(p.stop.radius, surface.outer_radius)
+            ahead = sense * (surface.z + along * (float(surface.z_at(r)) - surface.z) - p.stop.z_front)
+            if passed and ahead >= -_TINY:
+                return place
+            passed = (ahead if surface.mirror else -ahead) >= -_TINY
+            sense = -sense if surface.mirror else sense
         return len(p.surfaces)
 
     def _add_stop(self) -> None:

@@ -277,6 +277,25 @@ def test_the_stop_surfaces_from_behind_and_what_is_refused():
     )
 
 
+@pytest.mark.parametrize(
+    ("z", "place", "aperture"),
+    [(-5.0, 0, 6.0), (50.0, 0, 6.0), (150.0, 2, 6 / 0.99), (190.0, 4, None)],
+)
+def test_a_stop_behind_mirrors_and_a_lens_that_is_turned_round(z, place, aperture):
+    """f = 200 and -75 mm, 80 mm apart: of a height of 1 on the primary 0.6 are left, and 0.99 are 130 mm further on."""
+    known = {"mirror": True, "coating": Coating(R=1.0)}
+    surfaces = (
+        Surface("primary", z=100.0, radius=-400.0, semi_diameter=40.0, inner_semi_diameter=5.0, **known),
+        Surface("secondary", z=20.0, radius=-150.0, semi_diameter=12.0, **known),
+        Surface("front", z=160.0, radius=-100.0, semi_diameter=10.0, tilt_deg=(180.0, 0.0, 0.0), front="1.5"),
+        Surface("rear", z=165.0, semi_diameter=10.0, front="1.5"),
+    )
+    lens = Prescription(name="x", surfaces=surfaces, detector=Detector(z=250.0, semi_diameter=9.0))
+    found = to_sequential(replace(lens, stop=Stop(3.0, z, z, 9.0, 9.0)))
+    assert [row.stop for row in found.rows].index(True) == place
+    assert aperture is None or found.aperture == pytest.approx(aperture, rel=2e-3)
+
+
 def test_fields_of_tilted_sources_and_the_distance_of_an_object_from_a_stop_in_front():
     surfaces = (Surface("front", semi_diameter=5.0, back="1.5"), Surface("rear", z=4, semi_diameter=8.0, front="1.5"))
     lens = Prescription(name="x", surfaces=surfaces, detector=Detector(z=12.0, semi_diameter=3.0))
