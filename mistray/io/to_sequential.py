@@ -323,9 +323,11 @@ class _Walk:
         The size is a diameter, mm, or the object-space NA for a near object.
         """
         source = self.prescription.source
-        beam = math.inf
+        beam, cone = math.inf, 90.0  # mm and degrees
         if isinstance(source, Source):
             beam = source.radius or min(source.half_width or math.inf, source.half_height or math.inf)
+        elif source is not None:
+            cone = min(source.half_angle_deg, cone)
         diameter, limit = _widest_beam(lens)
         rows = list(lens.rows)
         if not any(row.stop for row in rows):
@@ -333,7 +335,7 @@ class _Walk:
             self.notes.append(f"the stop is '{rows[limit].label}', which limits a beam along the axis")
         notes = tuple(self.notes)
         if math.isfinite(lens.object_distance):
-            sine = math.sin(math.atan(0.5 * diameter / lens.object_distance))
+            sine = math.sin(min(math.atan(0.5 * diameter / lens.object_distance), math.radians(cone)))
             na = sine * refractive_index(lens.object_material, lens.wavelength_nm)
             return replace(lens, rows=tuple(rows), aperture_kind="object_na", aperture=na, notes=notes)
         return replace(lens, rows=tuple(rows), aperture=min(diameter, 2 * beam), notes=notes)

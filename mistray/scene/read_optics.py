@@ -331,7 +331,8 @@ class _Reader:
             raise MistrayError(f"scene '{self.file.path}', source: its z is {-distance:g}; an object lies at z < 0")
         pose = self._to_world(element, where)
         pose[:3, 3] += pose[:3, :2] @ [self._number(where, values, axis, 0.0) for axis in "xy"]
-        return ObjectPoint(distance=distance, **_placed(pose), **self._light(where, values))
+        cone = self._number(where, values, "half_angle_deg", 180.0)
+        return ObjectPoint(distance=distance, half_angle_deg=cone, **_placed(pose), **self._light(where, values))
 
     def _light(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
         """

@@ -244,6 +244,9 @@ def test_the_stop_surfaces_from_behind_and_what_is_refused():
     assert near.aperture == pytest.approx(1.33 * math.sin(math.atan(5 / 30)))
     data = first_order(near)
     assert data.epd / 2 / (30 + data.entrance_pupil_z) == pytest.approx(5 / 30)
+    narrow = replace(point, half_angle_deg=3.0)  # its light does not fill the lens
+    narrow = to_sequential(Prescription(name="x", surfaces=surfaces, detector=image, source=narrow))
+    assert narrow.aperture == pytest.approx(1.33 * math.sin(math.radians(3)))
     # A lens in the way back from a mirror keeps its materials and bends the same way
     mirror = Surface("mirror", z=50.0, semi_diameter=20.0, coating=Coating(R=1.0), mirror=True)
     near = Surface("near", z=20.0, radius=30.0, semi_diameter=10.0, front="1.5")
