@@ -257,6 +257,8 @@ def test_optiland_apertures_and_what_we_do_not_have():
     assert from_optiland(optic).aperture_kind == "f_number"
     list(optic.surfaces)[4].geometry.coefficients[0] = 1e-3
     assert from_optiland(optic).rows[3].sag == {"a2": 1e-3}
+    list(optic.surfaces)[4].geometry.k = 400.0  # it ends at 2.5 mm
+    assert from_optiland(optic).rows[3].conic == 400.0
     optic = bench({"surface_type": "biconic", "radius_x": 50.0, "radius_y": 80.0, "thickness": 30, "is_stop": True})
     with pytest.raises(MistrayError, match=r"surface 1: optiland's BiconicGeometry is another surface by"):
         from_optiland(optic)
