@@ -264,6 +264,10 @@ class TestCommand:
         }  # fmt: skip
         assert {"surface": "A_B", "pattern": "*", "why": "lies in cement"} in record["left"]
         assert record["files"] == [str(new)]
+        ideal = ("A front=R=0 T=0.9", "B=R=0.02 T=0.98")
+        assert "R = 0, T = 0.9: A front\nR = 0.02, T = 0.98: B_rear" in succeeds(
+            capsys, "coat", file, *ideal, "-o", new, "--force"
+        )
 
     def test_options_of_a_trace(self, file: Path, tmp_path: Path, capsys: Captured) -> None:
         succeeds(capsys, "coat", file, "?*=bbar3", "-o", tmp_path / "new.xml")
