@@ -20,6 +20,7 @@ from mistray.prescription.scene_file import finish_lines, seen_from, shared_line
 from mistray.replace_file import replace_file
 from mistray.scene.add_structures import shared_objects
 from mistray.scene.depth import check_source
+from mistray.scene.files import with_includes
 from mistray.scene.load import Parts, find, load_text
 from mistray.scene.read_optics import light_nm
 from mistray.scene.recoat import COATED, Refit, refitted
@@ -220,7 +221,8 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     file = SceneFile(path)
     shared = dict(shared_objects(file))
     comments = "\n".join(file.data[start:end].decode() for start, end in file.comments)
-    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, file.beside, light_nm(path), comments)
+    taken = with_includes(path).ids
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, taken, file.beside, light_nm(path), comments)
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}

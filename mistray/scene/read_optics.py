@@ -32,10 +32,10 @@ from mistray.prescription.model import MAX_COEFFICIENTS
 from mistray.prescription.scatter import Scatter
 from mistray.prescription.spectral import DEFAULT_NM, Spectral
 from mistray.scatter.kinds import KINDS
-from mistray.scene.depth import check_source
+from mistray.scene.files import with_includes
 from mistray.scene.load import find
 from mistray.scene.recoat import COATED
-from mistray.scene.xml_file import Element, SceneFile, behind_path, filled, is_true
+from mistray.scene.xml_file import Element, filled, is_true
 
 _SHIFTS = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 _COEFFICIENTS = tuple(f"a{2 * place}" for place in range(2, 2 + MAX_COEFFICIENTS))
@@ -83,10 +83,7 @@ def light_nm(path: Path) -> tuple[float, ...]:
 
 class _Reader:
     def __init__(self, path: Path, name: str) -> None:
-        self.file = SceneFile(path)
-        if any(element.tag == "include" for element in self.file.root.walk()):
-            check_source(path)  # or the files might have no end
-            self.file = _whole(path, [])
+        self.file = with_includes(path)
         self.name = Path(name).stem if Path(name).suffix else name
 
     def read(self) -> tuple[Prescription, tuple[str, ...]]:
@@ -364,30 +361,6 @@ class _Reader:
         if key not in values:
             return None
         return tuple(self._number(where, {key: word}, key) for word in values[key].replace(",", " ").split())
-
-
-def _whole(path: Path, folders: list[Path]) -> SceneFile:
-    """
-    Return a scene file in which the scenes that it includes stand in place of their ``<include>``.
-
-    They are searched beside the file that includes them, then in its ``<path>``, the last one first, and in `folders`,
-    as in Mitsuba. Raise `MistrayError` if one is missing.
-    """
-    file = SceneFile(path)
-    folders = [path.parent, *folders]
-    edits = []
-    for element in file.root.walk():
-        if element.tag == "path":
-            folders = behind_path(folders, filled(element.values.get("value", ""), file.defaults))
-        if element.tag != "include":
-            continue
-        name = filled(element.values.get("filename", ""), file.defaults)
-        found = next((folder / name for folder in (*folders, Path()) if (folder / name).is_file()), None)
-        if found is None:
-            raise MistrayError(f"scene '{path}': there is no file '{name}' for its <include>; correct the name")
-        inner = _whole(found, folders)
-        edits.append((element.start, element.end, inner.data[inner.root.inside : inner.root.close]))
-    return file.changed(edits)
 
 
 def _placed(pose: np.ndarray) -> dict[str, Any]:

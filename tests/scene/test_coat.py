@@ -15,8 +15,8 @@ from scene.test_rewrite import changes
 import mistray
 from mistray.coatings import Layer, Stack, fitted_preset, preset
 from mistray.materials import refractive_index
-from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
-from mistray.scene import Rules, find, write_coated
+from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.scene import Rules, add_structures, find, write_coated
 from mistray.scene.coat import coated_prescription
 from mistray.scene.read_optics import read_optics
 from mistray.scene.recoat import SharedCoating, recoated, write_recoated
@@ -174,6 +174,18 @@ class TestPatterns:
         films = bsdfs(mistray.load(shared))
         assert [layer.thickness_nm for layer in films["B_rear"].coating.layers] == [100]
         assert [layer.thickness_nm for layer in films["A front"].coating.layers] == [90]
+
+    def test_names_in_included_scenes_are_taken(self, file: Path, tmp_path: Path) -> None:
+        film = '<bsdf type="thinfilm" id="bbar3"><string name="preset" value="bbar3"/></bsdf>'
+        (tmp_path / "part.xml").write_text(f'<scene version="3.0.0">{film}</scene>')
+        text = file.read_text(encoding="utf-8").replace("</scene>", '<include filename="part.xml"/></scene>')
+        file.write_text(text, encoding="utf-8")
+        found = write_coated(file, tmp_path / "new.xml", Rules({"A front": "bbar3"}))
+        assert found.changes["A front"].coating.name == "bbar3_2"
+        assert 'id="bbar3_2"' in recoated(file, [SharedCoating("bbar3", preset("v_coat"), ("B_rear",))], tmp_path)
+        shade = Structure("shade", 14, -30, 14, -1, coating=Coating(preset="bbar3", name="bbar3"))
+        scene = mistray.load(add_structures(file, [shade], tmp_path / "shaded.xml"))
+        assert bsdfs(scene)["shade"].film.id() == "bbar3"
 
     def test_files_lie_where_they_are(self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """Paths count from the current folder; the new scene finds them from its own."""
