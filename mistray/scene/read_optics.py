@@ -190,13 +190,13 @@ class _Reader:
                 found.append(Scatter(kind, given))
         return tuple(found)
 
-    def _media(self, label: str, values: Mapping[str, str]) -> dict[str, str]:
+    def _media(self, label: str, values: Mapping[str, str]) -> dict[str, Any]:
         """
         Return the materials on the sides of a surface, from the values of its BSDF, as arguments of `Surface`.
 
         Shifts of their indices are included. One that is no number raises `MistrayError`.
         """
-        found = {}
+        found: dict[str, Any] = {}
         for side in ("front", "back"):
             shift = self._number(f"shape '{label}'", values, f"n_{side}_shift", 0.0)
             found[side] = shifted(resolved(values.get(side, "air"), self.file.beside), shift)
