@@ -43,7 +43,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
     -------
     Sequential
         Lens in mm. Its stop is that of the prescription, else the surface that limits a beam along the axis. Its
-        `notes` state the choice and list omissions: structure, scatter and coatings without a name.
+        `notes` state the choice and list omissions: structure, further detectors, scatter and coatings without a name.
 
     Raises
     ------
@@ -101,10 +101,13 @@ class _Walk:
 
     def _lens(self, start: str) -> Sequential:
         p, source = self.prescription, self.prescription.source
+        assert p.detector is not None
         if self.bare:
             self.notes.append(f"coatings without a name are left out: those of {', '.join(self.bare)}")
         if p.structures:
             self.notes.append(f"structure is left out ({len(p.structures)} shapes)")
+        if p.more_detectors:
+            self.notes.append(f"detectors besides '{p.detector.name}' are left out ({len(p.more_detectors)})")
         if any(surface.scatter for surface in p.surfaces):
             self.notes.append("scatter is left out")
         field, distance = ((0.0, 0.0), math.inf) if source is None else self._field(source)

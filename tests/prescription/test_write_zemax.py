@@ -303,7 +303,9 @@ def test_fields_of_tilted_sources_and_the_distance_of_an_object_from_a_stop_in_f
     surfaces = (Surface("front", semi_diameter=5.0, back="1.5"), Surface("rear", z=4, semi_diameter=8.0, front="1.5"))
     lens = Prescription(name="x", surfaces=surfaces, detector=Detector(z=12.0, semi_diameter=3.0))
     beam = Source(radius=2.0, y=1.0, field_deg=3.0, tilt_deg=(-10.0, 0.0, 0.0))
-    found = to_sequential(replace(lens, source=beam))
+    probe = Detector("probe", z=30.0, semi_diameter=3.0)
+    found = to_sequential(replace(lens, source=beam, more_detectors=(probe,)))
+    assert "detectors besides 'detector' are left out (1)" in found.notes
     assert found.fields[1] == pytest.approx((0.0, 13.0))
     assert "the beam is centred beside the axis; it is taken about the axis" in found.notes
     point = ObjectPoint(x=1.0, z=-20.0, distance=100.0, tilt_deg=(0.0, 30.0, 0.0))
