@@ -22,10 +22,11 @@ from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError, nearest_parameters
 from mistray.materials import resolved
+from mistray.physics.sags.terms import RADII
 from mistray.prescription.scene_file import comment_text
 from mistray.replace_file import replace_file
 from mistray.scene.load import load, load_text
-from mistray.scene.xml_file import INDENT, Element, SceneFile
+from mistray.scene.xml_file import INDENT, INSTEAD, Element, SceneFile
 
 NOTE = "Values set by mistray"
 
@@ -84,8 +85,8 @@ def rewritten(
         written = {name: f'<float name="{name}" value="{_list(exact)}"/>'}
         if name == "thickness_nm":
             written = _layers(file, element, plugin, numbers)
-        elif name == "curvature":
-            written = {name: _curvature(element, float(numbers[0]))}
+        elif name in RADII.values():
+            written = {name: _curvature(element, name, float(numbers[0]))}
         elif name in LAYER_PARAMETERS:
             written = {name: f'<string name="{name}" value="{_list(exact)}"/>'}
         new += [(element, one, xml) for one, xml in written.items()]
@@ -136,13 +137,14 @@ def _plugin(file: SceneFile, params: Any, key: str) -> Any:
     return plugin
 
 
-def _curvature(element: Element, curvature: float) -> str:
+def _curvature(element: Element, name: str, curvature: float) -> str:
     """Return the XML value for a curvature, 1/mm; as a radius if the file has one and the reciprocal is exact."""
     given = {child.values.get("name") for child in element.children}
+    (by_radius,) = INSTEAD[name]
     radius = 1 / curvature if curvature else 0.0
-    if "radius" in given and (not curvature or 1 / radius == curvature):
-        return f'<float name="radius" value="{_number(radius)}"/>'
-    return f'<float name="curvature" value="{_number(curvature)}"/>'
+    if by_radius in given and (not curvature or 1 / radius == curvature):
+        return f'<float name="{by_radius}" value="{_number(radius)}"/>'
+    return f'<float name="{name}" value="{_number(curvature)}"/>'
 
 
 def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarray) -> dict[str, str]:

@@ -18,6 +18,7 @@ from xml.sax.saxutils import quoteattr
 
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
+from mistray.physics.sags.terms import RADII
 from mistray.read_file import read_file
 
 LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
@@ -27,7 +28,11 @@ MOST_TEXT = 32 << 20  # characters of a scene, each file counted as often as it 
 Edit = tuple[int, int, bytes]  # replaces the bytes from start to end
 VALUE_TAGS = ("float", "integer", "boolean", "string")
 # What a value may stand as instead of by its own name
-INSTEAD = {"curvature": ("radius",), "thickness_nm": ("layers", "preset", "table"), "reflectance": ("preset",)}
+INSTEAD = {
+    **{curvature: (radius,) for radius, curvature in RADII.items()},
+    "thickness_nm": ("layers", "preset", "table"),
+    "reflectance": ("preset",),
+}
 _ID = re.compile(rb"\s+id\s*=\s*(\"[^\"]*\"|'[^']*')")
 
 

@@ -90,6 +90,17 @@ class TestText:
         expected = before | {key: np.atleast_1d(np.asarray(value, dtype=float)) for key, value in values.items()}
         assert_loads(write_rewritten(source, values, tmp_path / "new.xml"), expected)
 
+    @pytest.mark.parametrize(
+        ("radius", "curvature"), [("radius_x", "curvature_x"), ("toroid_radius", "toroid_curvature")]
+    )
+    def test_a_radius_in_x_stays_one(self, radius: str, curvature: str, tmp_path: Path) -> None:
+        lens = shape_xml("freeform", "lens", 0.0, interface_xml(back="1.5"), semi_diameter=5.0, **{radius: -100.0})
+        source = write(tmp_path, scene_text(lens))
+        _, new = changes(source.read_text(), rewritten(source, {f"lens.{curvature}": -0.0125}, tmp_path))
+        assert any(f'name="{radius}" value="-80"' in line for line in new)
+        path = write_rewritten(source, {f"lens.{curvature}": -0.011}, tmp_path / "new.xml")
+        assert mi.traverse(mistray.load(path))[f"lens.{curvature}"][0] == -0.011
+
     def test_shared_objects_stay_shared(self, tmp_path: Path) -> None:
         source = write(tmp_path, SCENE)
         thickness = [layer.thickness_nm + 1.5 for layer in preset("bbar3").layers]
