@@ -2,7 +2,7 @@
 
 Values are changed in place. A shared object is changed once, for all shapes that refer to it. A value that the file
 leaves at its default is added after the other values. A curvature is written as a radius if the file has a radius.
-Thicknesses of a preset or of a table become a list of layers.
+Thicknesses of a preset or of a table become a list of layers, and ABg parameters of a catalogue become numbers.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from mistray.scene.load import load, load_text
 from mistray.scene.xml_file import INDENT, INSTEAD, Element, SceneFile
 
 NOTE = "Values set by mistray"
+ABG = ("A", "B", "g")  # what a catalogue states together
 
 
 def rewritten(
@@ -87,6 +88,11 @@ def rewritten(
             written = _layers(file, element, plugin, numbers)
         elif name in RADII.values():
             written = {name: _curvature(element, name, float(numbers[0]))}
+        elif name in ABG and any(child.values.get("name") == "file" for child in element.children):
+            place = key.rpartition(".")[0]
+            rest = {one: getattr(plugin.model, one) for one in (*ABG, "reference_nm") if f"{place}.{one}" not in values}
+            stated = {one: number for one, number in rest.items() if number is not None}
+            written |= {one: f'<float name="{one}" value="{_number(number)}"/>' for one, number in stated.items()}
         elif name in LAYER_PARAMETERS:
             written = {name: f'<string name="{name}" value="{_list(exact)}"/>'}
         new += [(element, one, xml) for one, xml in written.items()]

@@ -32,6 +32,7 @@ INSTEAD = {
     **{curvature: (radius,) for radius, curvature in RADII.items()},
     "thickness_nm": ("layers", "preset", "table"),
     "reflectance": ("preset",),
+    "A": ("file",),  # of `abg`
 }
 _ID = re.compile(rb"\s+id\s*=\s*(\"[^\"]*\"|'[^']*')")
 
