@@ -23,8 +23,9 @@ ANGLES = ("theta_deg", "phi_deg")
 LARGEST = 1e30
 MOST_ANGLES = 4000  # of one kind: steps of 0.1° over the circle
 TYPES = {1: "C", 2: "B", 3: "A"}
-# Before 2002 the second number of the line of the ballast is a factor of the candelas
-WITH_FACTOR = ("IESNA:LM-63-1986", "IESNA91", "IESNA:LM-63-1991", "IESNA:LM-63-1995")
+# First lines from 2002 on. Before, the second number of the line of the ballast is a factor of the candelas; files of
+# 1986 begin with any text
+WITHOUT_FACTOR = ("IESNA:LM-63-2002", "IES:LM-63-")
 NUMBERS = 13  # before the angles
 
 
@@ -167,7 +168,7 @@ def _read_ies(path: Path) -> Intensities:
     if len(numbers) != NUMBERS + t + p + t * p:
         raise MistrayError(f"it has {len(numbers)} numbers after TILT=NONE; {NUMBERS + t + p + t * p} are needed")
     theta, phi, candela = np.split(numbers[NUMBERS:], [t, t + p])
-    factor = multiplier * numbers[10] * (numbers[11] if lines[0].strip() in WITH_FACTOR else 1.0)
+    factor = multiplier * numbers[10] * (1.0 if lines[0].strip().startswith(WITHOUT_FACTOR) else numbers[11])
     around, values = whole_circle(phi, factor * candela.reshape(p, t).T)
     # Azimuths of a lamp that hangs go counter-clockwise as seen from above, along its axis: from x towards -y
     return Intensities(theta, 360.0 - around[::-1], values[:, ::-1], CANDELA)

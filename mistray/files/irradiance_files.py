@@ -151,7 +151,8 @@ def read_irradiance(path: str | Path) -> IrradianceMap:
     Returns
     -------
     IrradianceMap
-        Map equal to the written one, except that EXR rounds to 32-bit floats, and FITS rounds the extent to 15 digits.
+        Map equal to the written one, except that facts are JSON values, EXR rounds to 32-bit floats, and FITS rounds
+        the extent to 15 digits.
 
     Raises
     ------

@@ -17,7 +17,7 @@ OF_FORMATS: Mapping[str, tuple[str, str, str]] = MappingProxyType(
         "pdf": ("PDF files need fpdf2", "fpdf", "pdf"),
     }
 )
-"""What needs a package, the module and the extra, by the file format."""
+"""Arguments of `package` for each file format that needs one, by the ending of its files."""
 
 
 def package(need: str, module: str, extra: str) -> Any:

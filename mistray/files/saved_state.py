@@ -113,7 +113,7 @@ def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[
     path : str or Path
         File, for the message.
     facts : mapping
-        Result of `load_state`.
+        Facts that `load_state` has returned.
     signature : mapping
         Required content of ``facts["signature"]``: plain values, mappings of such and lists. Values of 16 and more
         hexadecimal digits count as hashes, which a message does not quote.

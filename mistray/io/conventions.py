@@ -44,21 +44,21 @@ def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
 
 
 def choose_position(
-    wanted: int | str | None, saved: int, names: Mapping[int, str], count: int, what: str
+    given: int | str | None, saved: int, names: Mapping[int, str], count: int, what: str
 ) -> tuple[int, str]:
     """
     Choose one of several configurations of a lens file; return its number and a note on the others.
 
     Parameters
     ----------
-    wanted : int or str, optional
-        Number or name of the wanted one; None: the one that the file was saved in.
+    given : int or str, optional
+        Number or name of the one to read; None: the one that the file was saved in.
     saved, count : int
         Number, from 1, of the one that the file was saved in, and how many there are.
     names : mapping of int to str
         Their names, by number.
     what : str
-        What the program calls them, for messages.
+        Name that the program has for them, for messages.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def choose_position(
     MistrayError
         If there is none of this number or name.
     """
-    number = saved if wanted is None else wanted
+    number = saved if given is None else given
     if isinstance(number, str):
         found = [k for k, name in names.items() if name == number]
         if not found and not number.isdecimal():

@@ -249,7 +249,8 @@ def _table(file: _File, notes: list[str]) -> Sequential:
     """
     Return the lens table with the file's aperture column read as semi-diameters, mm; a later step verifies that.
 
-    Raise `MistrayError` if a thickness is negative, or glass extends from the last surface to the image.
+    Raise `MistrayError` if a thickness in glass or behind a curved surface is negative, or glass extends from the last
+    surface to the image.
     """
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
@@ -265,7 +266,7 @@ def _table(file: _File, notes: list[str]) -> Sequential:
             )
         material = "air"
         if glass:
-            material = f"nd={item.index:g} Vd={item.abbe:g} k=0" if item.abbe > 0 else f"{item.index:g} k=0"
+            material = f"nd={item.index!r} Vd={item.abbe!r} k=0" if item.abbe > 0 else f"{item.index!r} k=0"
         in_air = (before == "air") != (material == "air")
         coated += in_air and item.layers > 0
         bare += in_air and item.layers == 0
@@ -500,7 +501,11 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _clipped(lens: Sequential, start: Array, heading: Array) -> tuple[Array, Array]:
-    """Trace rays through a lens; return positions (mm) and directions, NaN at the image for blocked rays."""
+    """
+    Return positions, mm, and directions of rays, (n_rows, n, 3) each, as `trace` does.
+
+    Positions at the image are NaN for rays that an aperture or the stop blocks.
+    """
     hits, along = trace(lens, start, heading)
     for row, place in zip(lens.rows, hits, strict=True):
         through = passes(row, place)

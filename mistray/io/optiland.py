@@ -16,10 +16,12 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.io.conventions import figure, turns_deg
 from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, polygon, rectangle
+from mistray.physics.geometry.sag import conic_end
 from mistray.physics.sags.terms import sag
 from mistray.physics.sags.zernike import LAST_STANDARD, noll_orders, standard
 from mistray.prescription.coating import Coating
 from mistray.prescription.sequential.materials import same_material
+from mistray.prescription.sequential.rays import curvature
 from mistray.prescription.sequential.table import (
     ApertureKind,
     Decentre,
@@ -199,6 +201,8 @@ def _check(what: str, kind: str, geometry: Any, row: Row) -> None:
     """
     reach = 0.3 * _float(getattr(geometry, "norm_radius", 0.0) or getattr(geometry, "norm_x", 0.0) or 10.0)
     reach = min(reach, 0.3 * abs(row.radius)) if row.radius else reach
+    for c, k in ((curvature(row), row.conic), (row.sag.get("curvature_x", 0.0), row.sag.get("conic_x", 0.0))):
+        reach = min(reach, 0.5 * conic_end(c, k))
     angle = np.linspace(0.3, 6.2, 12)
     x, y = reach * np.cos(angle) * np.linspace(0.2, 1, 12), reach * np.sin(angle) * np.linspace(0.2, 1, 12)
     ours, theirs = sag(x, y, row.sag_numbers), np.asarray(geometry.sag(x, y), dtype=np.float64)

@@ -43,7 +43,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
     -------
     Sequential
         Lens in mm. Its stop is that of the prescription, else the surface that limits a beam along the axis. Its
-        `notes` state the choice and list omissions: structure, scatter and coatings without a name.
+        `notes` state the choice and list omissions: structure, further detectors, scatter and coatings without a name.
 
     Raises
     ------
@@ -80,6 +80,7 @@ class _Walk:
         self.sense = 1.0  # of light along the frame's z axis
         self.material = ""
         self.last, self.vertex = "", np.zeros(3)
+        self.begin = 0.0  # z of the first row in the world, mm
 
     def sequential(self) -> Sequential:
         p = self.prescription
@@ -100,20 +101,16 @@ class _Walk:
 
     def _lens(self, start: str) -> Sequential:
         p, source = self.prescription, self.prescription.source
+        assert p.detector is not None
         if self.bare:
             self.notes.append(f"coatings without a name are left out: those of {', '.join(self.bare)}")
         if p.structures:
             self.notes.append(f"structure is left out ({len(p.structures)} shapes)")
+        if p.more_detectors:
+            self.notes.append(f"detectors besides '{p.detector.name}' are left out ({len(p.more_detectors)})")
         if any(surface.scatter for surface in p.surfaces):
             self.notes.append("scatter is left out")
-        fields = [(0.0, 0.0)]
-        if source is not None and source.field_deg:
-            theta, azimuth = math.radians(source.field_deg), math.radians(source.azimuth_deg)
-            x, y = -math.tan(theta) * math.sin(azimuth), math.tan(theta) * math.cos(azimuth)
-            if isinstance(source, ObjectPoint):
-                fields.append((-source.distance * x, -source.distance * y))
-            else:
-                fields.append((math.degrees(math.atan(x)), math.degrees(math.atan(y))))
+        field, distance = ((0.0, 0.0), math.inf) if source is None else self._field(source)
         wavelengths: tuple[float, ...] = (_DEFAULT_NM,)
         weights: tuple[float, ...] = (1.0,)
         if source is not None and source.spectrum is None:
@@ -128,22 +125,39 @@ class _Walk:
             self.notes.append(
                 f"waves in the coating file are of {told} nm here, and of {wavelengths[primary]:g} nm there"
             )
-        lens = Sequential(
+        return Sequential(
             name=p.name,
             rows=tuple(self.rows),
             source=f"mistray prescription '{p.name}'",
             object_material=start,
-            fields=tuple(fields),
+            object_distance=distance,
+            field_kind="angle_deg" if math.isinf(distance) else "object_height",
+            fields=tuple(dict.fromkeys([(0.0, 0.0), field])),
             wavelengths_nm=wavelengths,
             weights=weights,
             primary=primary,
         )
-        if not isinstance(source, ObjectPoint):
-            return lens
-        if source.x or source.y or any(source.tilt_deg):
-            self.notes.append("the object is moved aside or tilted; its plane is taken across the axis")
-        distance = p.surfaces[0].z - source.z + source.distance
-        return replace(lens, object_distance=distance, field_kind="object_height")
+
+    def _field(self, source: Source | ObjectPoint) -> tuple[tuple[float, float], float]:
+        """
+        Return the field (x, y) of a source, degrees or mm on the object, and the object's distance, mm, or ``inf``.
+
+        Raise `MistrayError` if collimated light does not travel along +z.
+        """
+        slope, azimuth = math.tan(math.radians(source.field_deg)), math.radians(source.azimuth_deg)
+        pose = source.to_world()
+        along = pose[:3, :3] @ [-slope * math.sin(azimuth), slope * math.cos(azimuth), 1.0]
+        if isinstance(source, ObjectPoint):
+            x, y, z = pose[:3, 3] - source.distance * along
+            return (float(x), float(y)), self.begin - float(z)
+        if along[2] <= 0:
+            raise MistrayError(
+                f"prescription '{self.prescription.name}': its source shines against the z axis; turn the system round"
+            )
+        if source.x or source.y:
+            self.notes.append("the beam is centred beside the axis; it is taken about the axis")
+        x, y = (round(math.degrees(math.atan(slope / along[2])), _DECIMALS) + 0.0 for slope in along[:2])
+        return (x, y), math.inf
 
     def _add(self, surface: Surface) -> None:
         pose = self._follow(surface.to_world(), surface.name)
@@ -206,8 +220,10 @@ class _Walk:
             turned = not np.allclose(step[:3, :3], np.eye(3), atol=_TINY)
             aside = False
         x, y, z = (round(float(value), _DECIMALS) + 0.0 for value in step[:3, 3])
-        if self.rows:  # the table begins at the first vertex
+        if self.rows:
             self.rows[-1] = replace(self.rows[-1], thickness=z)
+        else:  # the table begins at the first vertex
+            self.begin = z
         if aside or turned:
             tilt = _tilts(step[:3, :3])
             row = replace(row, decentre=Decentre(x=x if aside else 0.0, y=y if aside else 0.0, tilt_deg=tilt))
@@ -251,17 +267,28 @@ class _Walk:
 
     def _stop_place(self) -> int | None:
         """
-        Return the index of the surface before which the stop stands, in the order in which light meets them.
+        Return the index of the surface before which light along the axis first meets the stop.
 
-        It is the number of surfaces if the stop is behind all, and None without a stop.
+        It is the number of surfaces if the stop is behind all, and that of the first surface off the axis if it is not
+        ahead of this. None: there is no stop.
         """
         p = self.prescription
         if p.stop is None:
             return None
+        sense, passed = (
+            1.0,
+            True,
+        )  # of the light along z, and whether it is past the last surface when it is at the stop
         for place, surface in enumerate(p.surfaces):
-            r = min(p.stop.radius, surface.outer_radius)
-            if surface.mirror or not surface.coaxial or float(surface.z_at(r)) >= p.stop.z_front - _TINY:
+            along = float(surface.to_world()[2, 2])
+            if math.hypot(surface.x, surface.y) > _TINY or abs(along) < 1 - _TINY:
                 return place
+            r = min(p.stop.radius, surface.outer_radius)
+            ahead = sense * (surface.z + along * (float(surface.z_at(r)) - surface.z) - p.stop.z_front)
+            if passed and ahead >= -_TINY:
+                return place
+            passed = (ahead if surface.mirror else -ahead) >= -_TINY
+            sense = -sense if surface.mirror else sense
         return len(p.surfaces)
 
     def _add_stop(self) -> None:
@@ -299,9 +326,11 @@ class _Walk:
         The size is a diameter, mm, or the object-space NA for a near object.
         """
         source = self.prescription.source
-        beam = math.inf
+        beam, cone = math.inf, 90.0  # mm and degrees
         if isinstance(source, Source):
             beam = source.radius or min(source.half_width or math.inf, source.half_height or math.inf)
+        elif source is not None:
+            cone = min(source.half_angle_deg, cone)
         diameter, limit = _widest_beam(lens)
         rows = list(lens.rows)
         if not any(row.stop for row in rows):
@@ -309,7 +338,7 @@ class _Walk:
             self.notes.append(f"the stop is '{rows[limit].label}', which limits a beam along the axis")
         notes = tuple(self.notes)
         if math.isfinite(lens.object_distance):
-            sine = math.sin(math.atan(0.5 * diameter / lens.object_distance))
+            sine = math.sin(min(math.atan(0.5 * diameter / lens.object_distance), math.radians(cone)))
             na = sine * refractive_index(lens.object_material, lens.wavelength_nm)
             return replace(lens, rows=tuple(rows), aperture_kind="object_na", aperture=na, notes=notes)
         return replace(lens, rows=tuple(rows), aperture=min(diameter, 2 * beam), notes=notes)
@@ -363,7 +392,11 @@ def _reach(row: Row) -> float:
 
 
 def _clip(surface: Surface) -> tuple[float, bool, Outline | None]:
-    """Return the semi-diameter of a surface, mm, True if its rim stops light, and its outline (None for a disc)."""
+    """
+    Return the semi-diameter of a surface, mm, whether it alone bounds the surface, and its outline, None for a disc.
+
+    The semi-diameter of a rectangle or another outline is the largest distance from the axis.
+    """
     if surface.outline is not None:
         return surface.outer_radius, False, surface.outline
     if surface.semi_diameter is None:

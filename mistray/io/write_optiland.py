@@ -14,8 +14,7 @@ from mistray.coatings import Stack, coating_from_text, read_coating
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.io.to_sequential import to_sequential
 from mistray.materials import complex_index, refractive_index
-from mistray.prescription.coating import Coating
-from mistray.prescription.model import Prescription
+from mistray.prescription.model import Prescription, Surface
 from mistray.prescription.sequential.table import Row, Sequential
 from mistray.ranges import FIELD_DEG
 
@@ -62,16 +61,16 @@ def to_optiland(prescription: Prescription, field_deg: float | Sequence[float] |
     lens = to_sequential(prescription)
     optic = _optiland("optic").Optic(lens.name)
     losses = [note for note in lens.notes if not note.startswith(_EXPECTED)]
-    coated = {surface.name: surface.coating for surface in prescription.surfaces}
+    surfaces = {surface.name: surface for surface in prescription.surfaces}
     media: dict[str, Any] = {}
     optic.surfaces.add(index=0, thickness=lens.object_distance, material=_medium(lens, lens.object_material, media))
-    before = lens.object_material
+    before, sense = lens.object_material, 1.0  # sense: that of light along z
     for number, row in enumerate(lens.rows, 1):
         what = f"prescription '{lens.name}', surface '{row.label}'"
         behind = before if row.mirror else row.material
         coating = None
-        if row.kind == "surface" and row.label in coated:
-            coating = _coating(what, coated[row.label], lens, (before, behind), losses)
+        if row.kind == "surface" and (surface := surfaces.get(row.label)):
+            coating = _coating(what, surface, sense * surface.to_world()[2, 2] > 0, lens, losses)
         optic.surfaces.add(
             index=number,
             comment=row.label,
@@ -82,7 +81,7 @@ def to_optiland(prescription: Prescription, field_deg: float | Sequence[float] |
             coating=coating,
             **_figure(what, row),
         )
-        before = behind
+        before, sense = behind, -sense if row.mirror else sense
     optic.set_aperture(aperture_type=_APERTURES[lens.aperture_kind], value=lens.aperture)
     optic.fields.set_type("angle" if lens.field_kind == "angle_deg" else "object_height")
     if field_deg is not None and lens.field_kind != "angle_deg":
@@ -178,25 +177,20 @@ def _table(materials: Any, material: str) -> Any:
     return medium
 
 
-def _coating(
-    what: str,
-    coating: Coating | None,
-    lens: Sequential,
-    sides: tuple[str, str],
-    losses: list[str],
-) -> Any:
+def _coating(what: str, surface: Surface, from_front: bool, lens: Sequential, losses: list[str]) -> Any:
     """
     Return an optiland coating with constant R and T; None for a bare surface.
 
-    `sides` are the materials in front and behind, and `what` names the surface. Losses of detail are added to `losses`.
+    `from_front` says that light meets the surface from its front, and `what` names it. Losses of detail are added to
+    `losses`.
     """
-    kinds = _optiland("coatings")
+    kinds, coating = _optiland("coatings"), surface.coating
     if coating is None:
         return None
     if coating.R is not None:
         return kinds.SimpleCoating(transmittance=coating.T or 0.0, reflectance=coating.R)
     nm = lens.wavelengths_nm[lens.primary]
-    front, behind = (complex_index(side, nm) for side in sides)
+    front, back = (complex_index(side, nm) for side in (surface.front, surface.back))
     text = coating.preset or coating.layers or coating.table or ""
     if coating.table is not None:
         answer = read_coating(text, coating.design_nm, coating.mirror)
@@ -206,7 +200,7 @@ def _coating(
         shifts = [given or [0.0] * len(answer.layers) for given in (coating.n_shift, coating.k_shift)]
         layers = [replace(layer, n_shift=n, k_shift=k) for layer, n, k in zip(answer.layers, *shifts, strict=True)]
         answer = replace(answer, layers=tuple(layers), first=coating.first)
-    found = answer.response(nm, front, behind, np.ones(1), True)
+    found = answer.response(nm, front, back, np.ones(1), from_front)
     r, t = float(found.R.mean()), float(found.T.mean())
     losses.append(f"{what}: coating '{coating.name or text}' becomes R = {r:.4g}, T = {t:.4g}, as at {nm:g} nm")
     return kinds.SimpleCoating(transmittance=t, reflectance=r)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, replace
 
-from mistray.coatings import preset
+from mistray.coatings import preset, read_coating
 from mistray.coatings.simple import check_shares
 from mistray.coatings.stack import SIDES, moved_layers
 from mistray.errors import MistrayError
@@ -112,6 +112,12 @@ class Coating:
         if self.preset is not None:
             return preset(self.preset).opaque
         return self.R is not None and not self.T
+
+    def blocks(self, seen: Callable[[str], str] = str) -> bool:
+        """True if the coating transmits no light, as `opaque` says or its table, whose path to open `seen` returns."""
+        if self.table is None or self.mirror:
+            return self.opaque
+        return read_coating(self.table, self.design_nm, resolve=seen).opaque
 
     def moved(self, seen: Callable[[str], str]) -> Coating:
         """Return the coating with its file paths, those of a table or of layers, changed by the function `seen`."""

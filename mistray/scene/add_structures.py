@@ -15,6 +15,7 @@ from mistray.prescription.scene_file import comment_text, structure_text
 from mistray.ranges import OfType, shown
 from mistray.replace_file import replace_files
 from mistray.scatter.kinds import KINDS
+from mistray.scene.files import with_includes
 from mistray.scene.load import find
 from mistray.scene.xml_file import Element, SceneFile, is_true
 
@@ -70,8 +71,9 @@ def add_structures(
     OfType(Mapping, "must be a mapping of paths to bytes").check("files", files)
     if not all(isinstance(path, str | Path) for path in files):
         raise MistrayError(f"files is {shown(files)}; give a mapping of paths to bytes, as of Mechanics.beside")
-    known = shared_objects(file)
-    taken = set(file.ids)
+    whole = with_includes(file.path)
+    known = shared_objects(whole)
+    taken = set(whole.ids)
     for shape in structures:
         if shape.name in taken:
             raise MistrayError(
@@ -79,12 +81,12 @@ def add_structures(
             )
         taken.add(shape.name)
         for item in (*((shape.coating,) if shape.coating else ()), *shape.scatter):
-            if item.name in file.ids and known.get(item.name) != item:
+            if item.name in whole.ids and known.get(item.name) != item:
                 raise MistrayError(
                     f"scene '{file.path}': its object '{item.name}' differs from the one of structure "
                     f"'{shape.name}'; rename one"
                 )
-    text = structure_text(structures, file.ids)
+    text = structure_text(structures, whole.ids)
     head = f"    <!-- {comment_text(note)} -->\n" if note else ""
     at = file.root.close
     start = "" if file.data[:at].endswith(b"\n") else "\n"

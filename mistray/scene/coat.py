@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, overload
 
-from mistray.coatings import PRESETS
+from mistray.coatings import PRESETS, read_coating
 from mistray.errors import MistrayError
 from mistray.named_values import number_of
 from mistray.prescription import Prescription
@@ -20,7 +20,9 @@ from mistray.prescription.scene_file import finish_lines, seen_from, shared_line
 from mistray.replace_file import replace_file
 from mistray.scene.add_structures import shared_objects
 from mistray.scene.depth import check_source
+from mistray.scene.files import with_includes
 from mistray.scene.load import Parts, find, load_text
+from mistray.scene.read_optics import light_nm
 from mistray.scene.recoat import COATED, Refit, refitted
 from mistray.scene.surface_rules import (
     Change,
@@ -218,9 +220,9 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
-    home = str(path.parent)
     comments = "\n".join(file.data[start:end].decode() for start, end in file.comments)
-    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, light_nm(file), comments)
+    taken = with_includes(path).ids
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, taken, file.beside, light_nm(path), comments)
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}
@@ -247,11 +249,16 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
     """
     shapes = list(system.shapes())
     shared: dict[str, Coating | Scatter] = {**system.shared_coatings(), **system.shared_scatter()}
+
+    def opaque(shape: Any) -> bool:
+        ruled = any(Face(shape.name, shape.part).fits(pattern) for pattern in rules.coatings)  # others need no table
+        return shape.coating is not None and (shape.coating.blocks() if ruled else shape.coating.opaque)
+
     faces = [
         Face(
             shape.name,
             shape.part,
-            opaque=shape.coating is not None and shape.coating.opaque,
+            opaque=opaque(shape),
             mirror=bool(getattr(shape, "mirror", False)),
             cemented=not (is_gas(shape.front) or is_gas(shape.back)),
             front=shape.front,
@@ -259,7 +266,8 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
         )
         for shape in shapes
     ]
-    names, light = [shape.name for shape in shapes], () if system.source is None else system.source.wavelength_nm
+    names = [shape.name for shape in shapes]
+    light = () if system.source is None else tuple(map(float, system.source.light.wavelengths_nm))
     painter = Painter(
         f"prescription '{system.name}'", faces, shared, names, light_nm=light, provenance=system.provenance
     )
@@ -306,7 +314,7 @@ def faces_of(file: SceneFile) -> list[Face]:
             Face(
                 name,
                 part,
-                opaque=_is_opaque(coating),
+                opaque=_is_opaque(coating, file.beside),
                 mirror=is_true(values.get("mirror", "")),
                 cemented=not any(is_gas(values.get(side, "air")) for side in ("front", "back")),
                 front=values.get("front", "air"),
@@ -316,17 +324,11 @@ def faces_of(file: SceneFile) -> list[Face]:
     return found
 
 
-def light_nm(file: SceneFile) -> tuple[float, ...]:
-    """Return the wavelengths, nm, listed by the first source of a scene file; empty if it lists none."""
-    for element in file.root.children:
-        if element.tag == "emitter":
-            words = file.values(element).get("wavelength_nm", "").replace(",", " ").split()
-            return tuple(number for word in words if (number := number_of(word)) is not None)
-    return ()
-
-
-def _is_opaque(coating: Mapping[str, str]) -> bool:
-    """True if the properties of a coating in a scene file say that it transmits no light."""
+def _is_opaque(coating: Mapping[str, str], beside: Callable[[str], str]) -> bool:
+    """True if the properties of a coating in a scene file, or its table, found by `beside`, let no light through."""
     if is_true(coating.get("opaque", "")) or getattr(PRESETS.get(coating.get("preset", "")), "metal", None) is not None:
         return True
+    if "table" in coating:
+        design_nm = number_of(coating.get("design_nm", "")) or Coating.design_nm
+        return read_coating(coating["table"], design_nm, resolve=beside).opaque
     return "R" in coating and number_of(coating.get("T", "0")) == 0

@@ -139,7 +139,7 @@ class _Look:
         if file is None:
             return
         self.includes += 1
-        if any(os.path.samefile(file, one) for one in within):
+        if any(os.path.exists(one) and os.path.samefile(file, one) for one in within):  # not yet, if its text is given
             raise MistrayError(f"{where} lies within itself; take one of the two out")
         if len(within) >= DEEPEST_FILE:
             raise MistrayError(f"{where} lies within {DEEPEST_FILE} files; put some of them together")

@@ -1,4 +1,4 @@
-"""Finding all files that a scene depends on: its own, included ones, and files named in its values."""
+"""Finding all files that a scene depends on: its own, included ones, and files named in its values; joining scenes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from mistray.errors import errors_of
-from mistray.scene.xml_file import SceneFile, filled, possible_names
+from mistray.errors import MistrayError, errors_of
+from mistray.scene.depth import check_source
+from mistray.scene.xml_file import SceneFile, behind_path, filled, possible_names
 
 
 def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
@@ -80,3 +81,40 @@ def named_files(text: str, folders: Mapping[Path, Path]) -> Iterator[tuple[Path,
             # os.path.isfile, because that of Path raises for a text that is too long for a name
             if os.path.isfile(folder / name):
                 yield (folder / name).resolve(), home
+
+
+def with_includes(path: Path) -> SceneFile:
+    """
+    Return a scene file in which the scenes that it includes stand in place of their ``<include>``.
+
+    Raise `MistrayError` if one is missing, or `check_source` refuses the files.
+    """
+    file = SceneFile(path)
+    if not any(element.tag == "include" for element in file.root.walk()):
+        return file
+    check_source(path)  # or the files might have no end
+    return _whole(path, [])
+
+
+def _whole(path: Path, folders: list[Path]) -> SceneFile:
+    """
+    Return a scene file in which the scenes that it includes stand in place of their ``<include>``.
+
+    They are searched beside the file that includes them, then in its ``<path>``, the last one first, and in `folders`,
+    as in Mitsuba. Raise `MistrayError` if one is missing.
+    """
+    file = SceneFile(path)
+    folders = [path.parent, *folders]
+    edits = []
+    for element in file.root.walk():
+        if element.tag == "path":
+            folders = behind_path(folders, filled(element.values.get("value", ""), file.defaults))
+        if element.tag != "include":
+            continue
+        name = filled(element.values.get("filename", ""), file.defaults)
+        found = next((folder / name for folder in (*folders, Path()) if (folder / name).is_file()), None)
+        if found is None:
+            raise MistrayError(f"scene '{path}': there is no file '{name}' for its <include>; correct the name")
+        inner = _whole(found, folders)
+        edits.append((element.start, element.end, inner.data[inner.root.inside : inner.root.close]))
+    return file.changed(edits)

@@ -2,15 +2,14 @@
 
 It reads shapes of type `asphere` and `freeform` whose `interface` transmits light or is a mirror, the detector, the
 aperture stop, and the source, also in scenes that the file includes. The stop is the frustums whose ``part`` is
-``stop``; the source is `collimated` or `point_source`. Everything else is structure, of which only the names are
-returned.
+``stop``; the source is `collimated` or `point_source`, and of others the wavelengths are read. Everything else is
+structure, of which only the names are returned.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-import os
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.sag_grid import read_sag_grid
+from mistray.materials import resolved, shifted
 from mistray.named_values import number_of
 from mistray.physics.geometry.outline import outline_of
 from mistray.physics.geometry.pose import fixed_angles_deg, moved, rotation
@@ -29,17 +29,20 @@ from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import GRID, RADII, length_power
 from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
-from mistray.prescription.spectral import DEFAULT_NM
-from mistray.scene.depth import check_source
+from mistray.prescription.scatter import Scatter
+from mistray.prescription.spectral import DEFAULT_NM, Spectral
+from mistray.scatter.kinds import KINDS
+from mistray.scene.files import with_includes
 from mistray.scene.load import find
 from mistray.scene.recoat import COATED
-from mistray.scene.xml_file import Element, SceneFile, behind_path, filled, is_true
+from mistray.scene.xml_file import Element, filled, is_true
 
 _SHIFTS = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 _COEFFICIENTS = tuple(f"a{2 * place}" for place in range(2, 2 + MAX_COEFFICIENTS))
 _OPTICAL = ("asphere", "freeform")
 _STOP_PART = "stop"
 _PIXELS = (1, 1)
+_WIDE = 1e9  # mm: radius of a beam that fills any lens
 
 
 def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
@@ -54,7 +57,8 @@ def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
     Returns
     -------
     prescription : Prescription
-        Surfaces in the order of the file, stop, detector and source, without other structure.
+        Surfaces in the order of the file, stop, detector and source, without other structure. Its provenance is a note
+        on a source of another kind, which becomes a beam of the same wavelengths; "" if there is none.
     left_out : tuple of str
         Names of the shapes that are not in `prescription`.
 
@@ -67,16 +71,19 @@ def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
     return _Reader(path, str(source)).read()
 
 
+def light_nm(path: Path) -> tuple[float, ...]:
+    """
+    Return the wavelengths, nm, of the first source of a scene file, or the ends of the band of its own emission.
+
+    The result is empty if there is no source, or it states no wavelengths. Raise `MistrayError` as `read_optics` does.
+    """
+    reader = _Reader(path, "")
+    return next((reader.lines(element) for element in reader.file.root.children if element.tag == "emitter"), ())
+
+
 class _Reader:
     def __init__(self, path: Path, name: str) -> None:
-        self.file = SceneFile(path)
-        if any(element.tag == "include" for element in self.file.root.walk()):
-            check_source(path)  # or the files might have no end
-            self.file = _whole(path, [])
-        self.folders = [path.parent]
-        for element in self.file.root.walk():
-            if element.tag == "path":
-                self.folders = behind_path(self.folders, filled(element.values.get("value", ""), self.file.defaults))
+        self.file = with_includes(path)
         self.name = Path(name).stem if Path(name).suffix else name
 
     def read(self) -> tuple[Prescription, tuple[str, ...]]:
@@ -85,12 +92,15 @@ class _Reader:
         stop: list[Element] = []
         detector: Detector | None = None
         light: Source | ObjectPoint | None = None
+        others: list[Element] = []
         for element in self.file.root.children:
             kind = element.values.get("type")
             if element.tag == "emitter" and kind in ("collimated", "point_source"):
                 if light is not None:
                     raise MistrayError(f"scene '{self.file.path}': it has two sources; remove one to export")
                 light = self._source(element) if kind == "collimated" else self._object_point(element)
+            elif element.tag == "emitter":
+                others.append(element)
             if element.tag != "shape":
                 continue
             label = element.values.get("id", kind or "shape")
@@ -107,10 +117,34 @@ class _Reader:
                 stop.append(element)
             else:
                 left_out.append(label)
+        note = ""
+        if others and light is None:
+            light = Source(radius=_WIDE, **self._any_light(others[0]))
+            note = f"the source, '{others[0].values.get('type')}', is left out but for its wavelengths"
         prescription = Prescription(
-            name=self.name, surfaces=tuple(surfaces), stop=self._stop(stop), detector=detector, source=light
+            name=self.name,
+            surfaces=tuple(surfaces),
+            stop=self._stop(stop),
+            detector=detector,
+            source=light,
+            provenance=note,
         )
         return prescription, tuple(left_out)
+
+    def _any_light(self, element: Element) -> dict[str, Any]:
+        """Return the wavelengths or the spectrum of any source as arguments of `Spectral`."""
+        given = self.spectral("source", self.file.values(element))
+        if given["spectrum"] is None:  # the scene's own emission has a band alone
+            given |= {"wavelength_nm": self.lines(element) or DEFAULT_NM, "band_nm": None, "bands": None}
+        return given
+
+    def lines(self, element: Element) -> tuple[float, ...]:
+        """Return the wavelengths of a source, nm, or the ends of the band of the scene's own emission; () without."""
+        values = self.file.values(element)
+        light = self.spectral("source", values)
+        if light["spectrum"] is not None:
+            return tuple(map(float, Spectral(**light).light.wavelengths_nm))
+        return light["wavelength_nm"] if "wavelength_nm" in values else light["band_nm"] or ()
 
     def _number(self, where: str, values: Mapping[str, str], key: str, default: float | None = None) -> float:
         if key not in values and default is not None:
@@ -137,20 +171,47 @@ class _Reader:
         coating, opaque = self._coating(found[1], values)
         if opaque and not mirror:
             return None
-        front, back = values.get("front", "air"), values.get("back", "air")
-        form = self._form(element, label)
-        return Surface(label, **form, front=front, back=back, coating=coating, mirror=mirror)
+        form = self._form(element, label) | self._media(label, values) | {"scatter": self._scatter(label, found[1])}
+        return Surface(label, **form, coating=coating, mirror=mirror)
+
+    def _scatter(self, label: str, bsdf: Element) -> tuple[Scatter, ...]:
+        """Return the scatter models of a surface from its BSDF; a value that is no number raises `MistrayError`."""
+        found = []
+        for model in filter(None, map(self.file.meant, bsdf.children)):
+            if (kind := model.values.get("type", "")) in KINDS:
+                given: dict[str, Any] = dict(self.file.values(model))
+                for child in model.children:
+                    name = child.values.get("name", "")
+                    if child.tag in ("float", "integer"):
+                        number = self._number(f"shape '{label}', {kind}", given, name)
+                        given[name] = int(number) if child.tag == "integer" else number
+                    elif child.tag == "boolean":
+                        given[name] = is_true(given[name])
+                found.append(Scatter(kind, given))
+        return tuple(found)
+
+    def _media(self, label: str, values: Mapping[str, str]) -> dict[str, Any]:
+        """
+        Return the materials on the sides of a surface, from the values of its BSDF, as arguments of `Surface`.
+
+        Shifts of their indices are included. One that is no number raises `MistrayError`.
+        """
+        found: dict[str, Any] = {}
+        for side in ("front", "back"):
+            shift = self._number(f"shape '{label}'", values, f"n_{side}_shift", 0.0)
+            found[side] = shifted(resolved(values.get(side, "air"), self.file.beside), shift)
+        return found
 
     def _coating(self, element: Element, values: Mapping[str, str]) -> tuple[Coating | None, bool]:
         """Return the coating of a BSDF, None for a bare surface, and whether it transmits no light."""
         if element.values["type"] == "interface" and ("R" in values or "table" in values):
             coating = Coating(**self._recipe("an interface", values))
-            return coating, coating.opaque
+            return coating, coating.blocks(self.file.beside)
         for film in (element, *map(self.file.meant, element.children)):
             if film is not None and film.values.get("type") == "thinfilm":
                 values = self.file.values(film)
                 coating = Coating(**self._recipe("a thinfilm", values), name=film.values.get("id"))
-                return coating, coating.opaque
+                return coating, coating.blocks(self.file.beside)
         return None, False
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
@@ -161,9 +222,7 @@ class _Reader:
         """
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table", "first") if key in values}
         recipe |= {"mirror": True} if is_true(values.get("opaque", "")) else {}
-        for key in {"n_shift", "k_shift"} & values.keys():
-            words = values[key].replace(",", " ").split()
-            recipe[key] = tuple(self._number(where, {key: word}, key) for word in words)
+        recipe |= {key: self._numbers(where, values, key) for key in ("n_shift", "k_shift") if key in values}
         return recipe | {key: self._number(where, values, key) for key in ("R", "T", "design_nm") if key in values}
 
     def _form(self, element: Element, label: str) -> dict[str, Any]:
@@ -199,14 +258,16 @@ class _Reader:
             if key in values and key != "radius":
                 sag[curvature] = 1 / (number(key) or math.inf)
         if GRID in values:
-            path = self._beside(values[GRID])
+            path = self.file.beside(values[GRID])
             sag[GRID] = Grid.of_values(*read_sag_grid(path), path)
         outline = outline_of(values, number, f"scene '{self.file.path}', {where}")
         return {"sag": sag, "outline": outline, "meets": values.get("meets", "both")}
 
     def _detector(self, element: Element, label: str) -> Detector:
-        form = self._form(element, label)
-        return Detector(label, **form, pixels=_PIXELS)
+        found = self.file.surface(element)
+        coated = found is not None and found[1].values.get("type") in COATED
+        values = self.file.values(found[1]) if found is not None and coated else {}
+        return Detector(label, **self._form(element, label), **self._media(label, values), pixels=_PIXELS)
 
     def _to_world(self, element: Element, where: str) -> np.ndarray:
         pose = np.eye(4)
@@ -258,7 +319,7 @@ class _Reader:
         where, values = "source", self.file.values(element)
         names = ("radius", "half_width", "half_height", "pupil_area")
         sizes: dict[str, Any] = {key: self._number(where, values, key) for key in names if key in values}
-        return Source(**sizes, **self._light(where, values))
+        return Source(**sizes, **_placed(self._to_world(element, where)), **self._light(where, values))
 
     def _object_point(self, element: Element) -> ObjectPoint:
         where, values = "source", self.file.values(element)
@@ -267,7 +328,8 @@ class _Reader:
             raise MistrayError(f"scene '{self.file.path}', source: its z is {-distance:g}; an object lies at z < 0")
         pose = self._to_world(element, where)
         pose[:3, 3] += pose[:3, :2] @ [self._number(where, values, axis, 0.0) for axis in "xy"]
-        return ObjectPoint(distance=distance, **_placed(pose), **self._light(where, values))
+        cone = self._number(where, values, "half_angle_deg", 180.0)
+        return ObjectPoint(distance=distance, half_angle_deg=cone, **_placed(pose), **self._light(where, values))
 
     def _light(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
         """
@@ -275,51 +337,30 @@ class _Reader:
 
         A value that is not of numbers raises `MistrayError`.
         """
-        names = [key for key in ("wavelength_nm", "weights", "band_nm", "stokes") if key in values]
-        lists = {key: values[key].replace(",", " ").split() for key in names}
-        numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}
         angle = "polarization_deg"
         return {
             "field_deg": self._number(where, values, "field_deg", 0.0),
             "azimuth_deg": self._number(where, values, "azimuth_deg", 0.0),
-            "wavelength_nm": numbers.get("wavelength_nm", DEFAULT_NM),
-            "weights": numbers.get("weights"),
-            "spectrum": self._beside(values["spectrum"]) if "spectrum" in values else None,
-            "band_nm": numbers.get("band_nm"),
-            "bands": int(self._number(where, values, "bands")) if "bands" in values else None,
-            "stokes": numbers.get("stokes"),
+            **self.spectral(where, values),
+            "stokes": self._numbers(where, values, "stokes"),
             "jones": jones_numbers(where, values["jones"]) if "jones" in values else None,
             angle: self._number(where, values, angle) if angle in values else None,
         }
 
-    def _beside(self, text: str) -> str:
-        """Return the path of a file beside the scene, or in its ``<path>``, from the current folder; else the text."""
-        # os.path.isfile, because that of Path raises for a long text
-        return next((str(folder / text) for folder in self.folders if os.path.isfile(folder / text)), text)
+    def spectral(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
+        """Return the wavelengths or the spectrum of a source as arguments of `Spectral`, or raise as `_light` does."""
+        return {
+            "wavelength_nm": self._numbers(where, values, "wavelength_nm") or DEFAULT_NM,
+            "weights": self._numbers(where, values, "weights"),
+            "spectrum": self.file.beside(values["spectrum"]) if "spectrum" in values else None,
+            "band_nm": self._numbers(where, values, "band_nm"),
+            "bands": int(self._number(where, values, "bands")) if "bands" in values else None,
+        }
 
-
-def _whole(path: Path, folders: list[Path]) -> SceneFile:
-    """
-    Return a scene file in which the scenes that it includes stand in place of their ``<include>``.
-
-    They are searched beside the file that includes them, then in its ``<path>``, the last one first, and in `folders`,
-    as in Mitsuba. Raise `MistrayError` if one is missing.
-    """
-    file = SceneFile(path)
-    folders = [path.parent, *folders]
-    edits = []
-    for element in file.root.walk():
-        if element.tag == "path":
-            folders = behind_path(folders, filled(element.values.get("value", ""), file.defaults))
-        if element.tag != "include":
-            continue
-        name = filled(element.values.get("filename", ""), file.defaults)
-        found = next((folder / name for folder in (*folders, Path()) if (folder / name).is_file()), None)
-        if found is None:
-            raise MistrayError(f"scene '{path}': there is no file '{name}' for its <include>; correct the name")
-        inner = _whole(found, folders)
-        edits.append((element.start, element.end, inner.data[inner.root.inside : inner.root.close]))
-    return file.changed(edits)
+    def _numbers(self, where: str, values: Mapping[str, str], key: str) -> tuple[float, ...] | None:
+        if key not in values:
+            return None
+        return tuple(self._number(where, {key: word}, key) for word in values[key].replace(",", " ").split())
 
 
 def _placed(pose: np.ndarray) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
 from mistray.prescription.scene_file import comment_text, shared_lines
 from mistray.replace_file import replace_file
+from mistray.scene.files import with_includes
 from mistray.scene.xml_file import INDENT, Edit, Element, SceneFile
 
 # What says which coating an interface or a thinfilm has
@@ -35,7 +36,7 @@ class SharedCoating:
     Attributes
     ----------
     id : str
-        Id of the coating in the file; a number is appended if the file has it already.
+        Id of the coating in the file; a number is appended if the scene has it already.
     stack : Stack
         Layers of the coating.
     surfaces : tuple of str
@@ -253,9 +254,9 @@ def _is_coating(file: SceneFile, child: Element) -> bool:
 
 
 def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:
-    """Return one new id for each coating, not used in the file except by shared coatings that will be removed."""
+    """Return one new id for each coating, not used in the scene except by shared coatings that will be removed."""
     recoated_shapes = {surface for coating in coatings for surface in coating.surfaces}
-    taken = set(file.ids) - {element.values["id"] for element in _forsaken(file, recoated_shapes)}
+    taken = set(with_includes(file.path).ids) - {element.values["id"] for element in _forsaken(file, recoated_shapes)}
     names = []
     for coating in coatings:
         name, number = coating.id, 2

@@ -2,7 +2,7 @@
 
 Values are changed in place. A shared object is changed once, for all shapes that refer to it. A value that the file
 leaves at its default is added after the other values. A curvature is written as a radius if the file has a radius.
-Thicknesses of a preset or of a table become a list of layers.
+Thicknesses of a preset or of a table become a list of layers, and ABg parameters of a catalogue become numbers.
 """
 
 from __future__ import annotations
@@ -22,12 +22,14 @@ from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError, nearest_parameters
 from mistray.materials import resolved
+from mistray.physics.sags.terms import RADII
 from mistray.prescription.scene_file import comment_text
 from mistray.replace_file import replace_file
 from mistray.scene.load import load, load_text
-from mistray.scene.xml_file import INDENT, Element, SceneFile
+from mistray.scene.xml_file import INDENT, INSTEAD, Element, SceneFile
 
 NOTE = "Values set by mistray"
+ABG = ("A", "B", "g")  # what a catalogue states together
 
 
 def rewritten(
@@ -84,8 +86,13 @@ def rewritten(
         written = {name: f'<float name="{name}" value="{_list(exact)}"/>'}
         if name == "thickness_nm":
             written = _layers(file, element, plugin, numbers)
-        elif name == "curvature":
-            written = {name: _curvature(element, float(numbers[0]))}
+        elif name in RADII.values():
+            written = {name: _curvature(element, name, float(numbers[0]))}
+        elif name in ABG and any(child.values.get("name") == "file" for child in element.children):
+            place = key.rpartition(".")[0]
+            rest = {one: getattr(plugin.model, one) for one in (*ABG, "reference_nm") if f"{place}.{one}" not in values}
+            stated = {one: number for one, number in rest.items() if number is not None}
+            written |= {one: f'<float name="{one}" value="{_number(number)}"/>' for one, number in stated.items()}
         elif name in LAYER_PARAMETERS:
             written = {name: f'<string name="{name}" value="{_list(exact)}"/>'}
         new += [(element, one, xml) for one, xml in written.items()]
@@ -136,13 +143,14 @@ def _plugin(file: SceneFile, params: Any, key: str) -> Any:
     return plugin
 
 
-def _curvature(element: Element, curvature: float) -> str:
+def _curvature(element: Element, name: str, curvature: float) -> str:
     """Return the XML value for a curvature, 1/mm; as a radius if the file has one and the reciprocal is exact."""
     given = {child.values.get("name") for child in element.children}
+    (by_radius,) = INSTEAD[name]
     radius = 1 / curvature if curvature else 0.0
-    if "radius" in given and (not curvature or 1 / radius == curvature):
-        return f'<float name="radius" value="{_number(radius)}"/>'
-    return f'<float name="curvature" value="{_number(curvature)}"/>'
+    if by_radius in given and (not curvature or 1 / radius == curvature):
+        return f'<float name="{by_radius}" value="{_number(radius)}"/>'
+    return f'<float name="{name}" value="{_number(curvature)}"/>'
 
 
 def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarray) -> dict[str, str]:

@@ -162,14 +162,20 @@ def remember(
     `text` is the text that replaced the content of the file, if any. In a scene without a plugin of mistray nothing is
     kept. A file that cannot be read raises `MistrayError`.
     """
+    others = tuple(map(_copy, sources)), tuple(map(_copy, sensors))
     for owner in _owners(scene):
         if isinstance(given, Path):
             content = read_file(given, "scene") if text is None else text.encode()
-            origin = _Origin(given.resolve(), content, {}, tuple(sources), tuple(sensors))
+            origin = _Origin(given.resolve(), content, {}, *others)
         else:
-            origin = _Origin(None, b"", given, tuple(sources), tuple(sensors))
+            origin = _Origin(None, b"", _copy(given), *others)
         setattr(owner, ATTRIBUTE, origin)
         return
+
+
+def _copy(value: Any) -> Any:
+    """Return a copy of a dict and of all dicts within it, which its owner may change; other values as they are."""
+    return {key: _copy(item) for key, item in value.items()} if isinstance(value, Mapping) else value
 
 
 def file_of(scene: mi.Scene) -> Path | None:

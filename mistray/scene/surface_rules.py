@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from mistray.coatings import fitted_preset, layer_text, read_coating
+from mistray.coatings import fitted_preset, layer_text
 from mistray.errors import MistrayError, errors_of
 from mistray.ids import fits, plain_name
 from mistray.materials import resolved
@@ -150,8 +150,8 @@ class Painter:
         Named coatings and scatter models of the system.
     taken : collection of str
         Names that new coatings and models must not have.
-    home : str
-        Folder that holds the tables of shared coatings.
+    beside : callable
+        Function from the name of a file in the system to its path from the current folder.
     light_nm : sequence of float
         Wavelengths of the system's light, nm. If none is visible, layer thicknesses in waves refer by default to the
         middle of their range.
@@ -174,7 +174,7 @@ class Painter:
         faces: Sequence[Face],
         shared: Mapping[str, Coating | Scatter],
         taken: Collection[str],
-        home: str = "",
+        beside: Callable[[str], str] = str,
         light_nm: Sequence[float] = (),
         provenance: str = "",
     ) -> None:
@@ -182,7 +182,7 @@ class Painter:
         self.left: list[Left] = []
         self.notes: list[str] = []
         self._design_nm = _design_nm(light_nm)
-        self._where, self._faces, self._home, self._provenance = where, faces, home, provenance
+        self._where, self._faces, self._beside, self._provenance = where, faces, beside, provenance
         self._coatings = {name: item for name, item in shared.items() if isinstance(item, Coating)}
         self._scatter = {name: item for name, item in shared.items() if isinstance(item, Scatter)}
         self._shared: dict[str, Coating | Scatter] = dict(shared)
@@ -273,7 +273,7 @@ class Painter:
         body = face.back if is_gas(face.front) else face.front
         if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):
             return coating
-        body = resolved(body, lambda path: f"{self._home}/{path}" if self._home else path)
+        body = resolved(body, self._beside)
         with errors_of(f"{self._where}: {rule}: '{face.name}'"):
             fitted = fitted_preset(coating.preset, body, coating.design_nm)
         note = f"{coating.preset} on {body}: {fitted}"
@@ -286,10 +286,8 @@ class Painter:
 
     def _closed(self, coating: Coating | None) -> bool:
         """True if a coating is known to transmit no light."""
-        if coating is None or coating.table is None or coating.mirror:
-            return coating is not None and coating.opaque
-        home = f"{self._home}/" if self._home and self._coatings.get(coating.name or "") == coating else ""
-        return read_coating(coating.table, coating.design_nm, resolve=lambda path: f"{home}{path}").opaque
+        own = coating is not None and self._coatings.get(coating.name or "") == coating
+        return coating is not None and coating.blocks(self._beside if own else str)
 
     def _finish(self, paint: str | float | Finish) -> Finish:
         if isinstance(paint, Finish):

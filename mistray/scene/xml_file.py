@@ -18,6 +18,7 @@ from xml.sax.saxutils import quoteattr
 
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
+from mistray.physics.sags.terms import RADII
 from mistray.read_file import read_file
 
 LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
@@ -27,7 +28,12 @@ MOST_TEXT = 32 << 20  # characters of a scene, each file counted as often as it 
 Edit = tuple[int, int, bytes]  # replaces the bytes from start to end
 VALUE_TAGS = ("float", "integer", "boolean", "string")
 # What a value may stand as instead of by its own name
-INSTEAD = {"curvature": ("radius",), "thickness_nm": ("layers", "preset", "table"), "reflectance": ("preset",)}
+INSTEAD = {
+    **{curvature: (radius,) for radius, curvature in RADII.items()},
+    "thickness_nm": ("layers", "preset", "table"),
+    "reflectance": ("preset",),
+    "A": ("file",),  # of `abg`
+}
 _ID = re.compile(rb"\s+id\s*=\s*(\"[^\"]*\"|'[^']*')")
 
 
@@ -178,6 +184,20 @@ class SceneFile:
             if element.tag == "default":
                 found.setdefault(element.values.get("name", ""), element.values.get("value", ""))
         return found
+
+    @cached_property
+    def _folders(self) -> list[Path]:
+        """Folders in which files named by the scene are searched: its own, those of its ``<path>``, the current one."""
+        found = [self.path.parent, Path()]
+        for element in self.root.walk():
+            if element.tag == "path":
+                found = behind_path(found, filled(element.values.get("value", ""), self.defaults))
+        return found
+
+    def beside(self, name: str) -> str:
+        """Return the path from the current folder of a file that the scene names; the name itself if there is none."""
+        # os.path.isfile, because that of Path raises for a long name
+        return next((str(folder / name) for folder in self._folders if os.path.isfile(folder / name)), name)
 
     def values(self, element: Element) -> dict[str, str]:
         """

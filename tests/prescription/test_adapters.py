@@ -14,6 +14,7 @@ from refusals import each_refused, refused
 
 import mistray
 from mistray import MistrayError, MistrayWarning
+from mistray.coatings import coating_from_text
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
@@ -23,6 +24,7 @@ from mistray.prescription import from_optiland as lens_of_optiland
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.rays import to_world, trace
+from mistray.prescription.spectral import DEFAULT_NM
 
 
 def test_materials_are_named_only_where_their_index_is_the_same():
@@ -255,6 +257,8 @@ def test_optiland_apertures_and_what_we_do_not_have():
     assert from_optiland(optic).aperture_kind == "f_number"
     list(optic.surfaces)[4].geometry.coefficients[0] = 1e-3
     assert from_optiland(optic).rows[3].sag == {"a2": 1e-3}
+    list(optic.surfaces)[4].geometry.k = 400.0  # it ends at 2.5 mm
+    assert from_optiland(optic).rows[3].conic == 400.0
     optic = bench({"surface_type": "biconic", "radius_x": 50.0, "radius_y": 80.0, "thickness": 30, "is_stop": True})
     with pytest.raises(MistrayError, match=r"surface 1: optiland's BiconicGeometry is another surface by"):
         from_optiland(optic)
@@ -310,6 +314,22 @@ def test_layers_become_their_r_and_t(triplet: Any) -> None:
     assert found.reflectance + found.transmittance == pytest.approx(1, abs=1e-6)
     n = 1.6204  # SF2 of the sample's flint, roughly
     assert found.reflectance == pytest.approx(((n - 1.384**2) / (n + 1.384**2)) ** 2, abs=3e-3)
+
+
+@pytest.mark.parametrize("first", ["front", "back"])
+def test_layers_that_light_meets_from_behind(triplet: Any, first: str) -> None:
+    """Behind a mirror light travels along -z, and meets the back of a surface."""
+    coating = Coating(layers="Ag 20, 2.3 60", first=first)
+    mirror = mistray.Surface("M", z=100.0, semi_diameter=20.0, coating=Coating(R=1.0), mirror=True)
+    plate = mistray.Surface("P", z=50.0, semi_diameter=10.0, front="1.5", coating=coating)
+    film = mistray.Detector(z=10.0, back="1.5", semi_diameter=5.0)
+    lens = mistray.Prescription(name="x", surfaces=(mirror, plate), detector=film, source=mistray.Source(radius=4.0))
+    with pytest.warns(MistrayWarning, match="surface 'P'"):
+        back = to_optiland(lens)
+    found = list(back.surfaces)[2].interaction_model.coating
+    layers = replace(coating_from_text("Ag 20, 2.3 60"), first=first)
+    exact = layers.response(DEFAULT_NM[0], 1.5, 1.0, np.ones(1), from_front=False)
+    assert (found.reflectance, found.transmittance) == pytest.approx((exact.R.mean(), exact.T.mean()))
 
 
 def test_what_optiland_has_not(triplet: Any, monkeypatch: pytest.MonkeyPatch) -> None:

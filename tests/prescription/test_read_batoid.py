@@ -76,6 +76,16 @@ def test_source_is_that_of_batoid(optic, rubin, theta_x, theta_y):
     assert "the source is wider than the pupil" in rubin.provenance
 
 
+def test_a_telescope_that_is_turned_has_its_source_turned_too(optic, rubin):
+    turned = optic.withLocalRotation(batoid.RotZ(0.7) @ batoid.RotX(0.1) @ batoid.RotY(0.3))
+    found = from_batoid(turned, wavelength_nm=WAVELENGTH_NM)
+    frame = np.asarray(turned.coordSys.rot) @ np.diag([-1.0, 1.0, -1.0])
+    np.testing.assert_allclose(found.source.to_world()[:3, :3], frame, atol=1e-12)
+    for ours, theirs in zip(found.surfaces, rubin.surfaces, strict=True):
+        assert (ours.front, ours.back) == (theirs.front, theirs.back)
+    assert len(found.structures) == len(rubin.structures)
+
+
 def test_lens_that_light_crosses_downwards(rubin):
     """A refractor in batoid's frame: light travels along -z, so the first surface has its glass on the -z side."""
     apochromat = from_batoid(batoid.Optic.fromYaml("donsoptikz1.yaml"), wavelength_nm=550.0)

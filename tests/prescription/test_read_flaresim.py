@@ -105,12 +105,13 @@ def test_semi_diameters_by_the_f_number_and_cement(tmp_path):
         assert lens.aperture == pytest.approx(9.4)
         assert lens.rows[0].semi_diameter == pytest.approx(8)
     head = SINGLET.partition("50.0   5.0")[0]
-    apart = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
-    joined = "50 5 1.6 60 16 1\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
+    apart = "50 5 1.6031101 60 16 1\n-60 0 1 0 16 0\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
+    joined = "50 5 1.6031101 60 16 1\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
     lenses = [read_flaresim(written(tmp_path, head + rows)) for rows in (apart, joined)]
     assert any("2 and 3" in note for note in lenses[0].notes)
     both = [[(row.radius, row.material, row.thickness, row.coating) for row in lens.rows] for lens in lenses]
     assert both[0] == both[1]
+    assert both[0][0][1] == "nd=1.6031101 Vd=60.0 k=0"
     within = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\nstop 0 1 0 1e6 0\n-60 3 1.7 30 14 1\n-300 71 1 0 16 0\n"
     lens = read_flaresim(written(tmp_path, head + within))
     assert [(row.number, row.stop) for row in lens.rows] == [(1, False), (2, True), (5, False), (6, False)]

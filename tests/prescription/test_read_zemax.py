@@ -207,6 +207,7 @@ def test_system_lines_finite_objects_angles_and_coatings(read):
         ("ENPD 8", "OBNA 0.25 0", {"aperture_kind": "object_na", "aperture": 0.25}),
         ("ENPD 8", "OBNA 30 1", {"aperture_kind": "object_na", "aperture": pytest.approx(0.5)}),
         ("ENPD 8", "FLOA", {"aperture_kind": "stop_diameter", "aperture": 7.0}),
+        ("DISZ INFINITY", "DISZ 1E+10", {"object_distance": math.inf}),
         (FIELD, FIELDS.format(0), VIGNETTED | {"field_kind": "angle_deg"}),
         (FIELD, FIELDS.format(1), VIGNETTED | {"field_kind": "object_height"}),
         (FIELD, FIELDS.format(2), VIGNETTED | {"field_kind": "image_height"}),
@@ -232,6 +233,8 @@ def test_system_lines_finite_objects_angles_and_coatings(read):
     assert lens.aperture == pytest.approx(0.75)
     lens = read(text.replace("ENPD 8", "FNUM 5 0"))  # of infinite conjugates, wherever the object is
     assert first_order(lens).epd == pytest.approx(60 / 5)
+    floating = SINGLET.replace("ENPD 8", "FLOA").replace("  STOP", "  STOP\n  DIAM 3.5 0\n  CLAP 0 6 0")
+    assert read(floating).aperture == 7.0  # of the semi-diameter, whatever aperture the surface has
     lens = read(text.replace("ENPD 8", "OBNA 0.1 0").replace("FTYP 0 0", "FTYP 1 1"))
     assert lens.telecentric
     assert lens.unread == ()

@@ -8,7 +8,7 @@ import peers
 import pytest
 import vectors
 from command_line import fails, run
-from refusals import each_refused
+from refusals import each_refused, refused
 
 from mistray.io import read_zemax, to_sequential, write_zemax
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
@@ -184,8 +184,10 @@ def test_glasses(tmp_path):
 def test_what_no_file_holds_is_refused(tmp_path):
     odd = Sequential("lens", (Row(1, label="front", sag={"curvature_x": 0.1, "r3": 1e-3}), IMAGE), aperture=1.0)
     many = {"wavelengths_nm": tuple(range(400, 425)), "weights": (1.0,) * 25}
+    shifted = Sequential("lens", (Row(1, sag={"xy_0_0": 1.0}), IMAGE), aperture=1.0)
     each_refused(
         (odd, r"surface 1 'front'.*r3"),
+        (shifted, "surface 1 ''.*xy_0_0"),
         (Sequential("lens", (Row(1), IMAGE), aperture=1.0, **many), "lens 'lens': 25 wavelengths"),
         by=lambda lens: write_zemax(lens, tmp_path / "lens.zmx"),
     )
@@ -242,6 +244,9 @@ def test_the_stop_surfaces_from_behind_and_what_is_refused():
     assert near.aperture == pytest.approx(1.33 * math.sin(math.atan(5 / 30)))
     data = first_order(near)
     assert data.epd / 2 / (30 + data.entrance_pupil_z) == pytest.approx(5 / 30)
+    narrow = replace(point, half_angle_deg=3.0)  # its light does not fill the lens
+    narrow = to_sequential(Prescription(name="x", surfaces=surfaces, detector=image, source=narrow))
+    assert narrow.aperture == pytest.approx(1.33 * math.sin(math.radians(3)))
     # A lens in the way back from a mirror keeps its materials and bends the same way
     mirror = Surface("mirror", z=50.0, semi_diameter=20.0, coating=Coating(R=1.0), mirror=True)
     near = Surface("near", z=20.0, radius=30.0, semi_diameter=10.0, front="1.5")
@@ -273,6 +278,42 @@ def test_the_stop_surfaces_from_behind_and_what_is_refused():
         by=lambda surfaces, detector: to_sequential(Prescription(name="camera", surfaces=surfaces, detector=detector)),
         pattern="camera.*({})",
     )
+
+
+@pytest.mark.parametrize(
+    ("z", "place", "aperture"),
+    [(-5.0, 0, 6.0), (50.0, 0, 6.0), (150.0, 2, 6 / 0.99), (190.0, 4, None)],
+)
+def test_a_stop_behind_mirrors_and_a_lens_that_is_turned_round(z, place, aperture):
+    """f = 200 and -75 mm, 80 mm apart: of a height of 1 on the primary 0.6 are left, and 0.99 are 130 mm further on."""
+    known = {"mirror": True, "coating": Coating(R=1.0)}
+    surfaces = (
+        Surface("primary", z=100.0, radius=-400.0, semi_diameter=40.0, inner_semi_diameter=5.0, **known),
+        Surface("secondary", z=20.0, radius=-150.0, semi_diameter=12.0, **known),
+        Surface("front", z=160.0, radius=-100.0, semi_diameter=10.0, tilt_deg=(180.0, 0.0, 0.0), front="1.5"),
+        Surface("rear", z=165.0, semi_diameter=10.0, front="1.5"),
+    )
+    lens = Prescription(name="x", surfaces=surfaces, detector=Detector(z=250.0, semi_diameter=9.0))
+    found = to_sequential(replace(lens, stop=Stop(3.0, z, z, 9.0, 9.0)))
+    assert [row.stop for row in found.rows].index(True) == place
+    assert aperture is None or found.aperture == pytest.approx(aperture, rel=2e-3)
+
+
+def test_fields_of_tilted_sources_and_the_distance_of_an_object_from_a_stop_in_front():
+    surfaces = (Surface("front", semi_diameter=5.0, back="1.5"), Surface("rear", z=4, semi_diameter=8.0, front="1.5"))
+    lens = Prescription(name="x", surfaces=surfaces, detector=Detector(z=12.0, semi_diameter=3.0))
+    beam = Source(radius=2.0, y=1.0, field_deg=3.0, tilt_deg=(-10.0, 0.0, 0.0))
+    probe = Detector("probe", z=30.0, semi_diameter=3.0)
+    found = to_sequential(replace(lens, source=beam, more_detectors=(probe,)))
+    assert "detectors besides 'detector' are left out (1)" in found.notes
+    assert found.fields[1] == pytest.approx((0.0, 13.0))
+    assert "the beam is centred beside the axis; it is taken about the axis" in found.notes
+    point = ObjectPoint(x=1.0, z=-20.0, distance=100.0, tilt_deg=(0.0, 30.0, 0.0))
+    found = to_sequential(replace(lens, stop=Stop(1.0, -25.0, -25.0, 9.0, 9.0), source=point))
+    assert found.object_distance == pytest.approx(100 * math.cos(math.radians(30)) - 5)  # from the stop, the first row
+    assert found.fields[1] == pytest.approx((1 - 50.0, 0.0))
+    with refused("prescription 'x': its source shines against the z axis"):
+        to_sequential(replace(lens, source=replace(beam, tilt_deg=(0.0, 180.0, 0.0))))
 
 
 @pytest.mark.parametrize("name", [*exported_lenses.SCENES, "three_mirror_telescope"])  # mirrors off the axis

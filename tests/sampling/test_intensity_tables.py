@@ -141,7 +141,7 @@ def test_ies(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("first", "factor"),
-    [("IESNA:LM-63-1995", 0.9), ("IESNA:LM-63-2002", 1.0), ("IES:LM-63-2019", 1.0), ("[TEST] 1", 1.0)],
+    [("IESNA:LM-63-1995", 0.9), ("IESNA:LM-63-2002", 1.0), ("IES:LM-63-2019", 1.0), ("Lamp of 1986", 0.9)],
 )
 def test_factors_of_ies(first: str, factor: float, tmp_path: Path) -> None:
     """The second number of the ballast's line was a factor until 1995; now it says how the file was made."""

@@ -1,6 +1,7 @@
 """Coatings, paint and scatter put on surfaces by patterns: what they do to light, what changes in a file."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,11 @@ from scene.test_rewrite import changes
 
 import mistray
 from mistray.coatings import Layer, Stack, fitted_preset, preset
-from mistray.prescription import Detector, Prescription, Source, Stop, Surface
-from mistray.scene import Rules, find, write_coated
+from mistray.materials import refractive_index
+from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.scene import Rules, add_structures, find, write_coated
+from mistray.scene.coat import coated_prescription
+from mistray.scene.read_optics import read_optics
 from mistray.scene.recoat import SharedCoating, recoated, write_recoated
 from mistray.scene.source import source_of
 
@@ -100,6 +104,12 @@ class TestLight:
         assert [e.size[0] for e in again.emitters()] == [1.0]
         assert bsdfs(mistray.load(file))["B_rear"].film is None, "the file stays as it is"
 
+    def test_a_dict_travels_as_it_was_loaded(self) -> None:
+        given = lens().to_dict()
+        scene = mistray.load(given)
+        given["source"]["wavelength_nm"] = 700.0
+        assert source_of(scene).load().emitters()[0].wavelengths_nm == [550.0]
+
     def test_files_of_the_current_folder_travel(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """The faces of a plate name its glass by a file there, and by one in a path there."""
         for name in ("1.csv", "glasses/2.csv"):
@@ -141,6 +151,16 @@ class TestPatterns:
         with refused("'primary=bbar3': 'primary' is opaque; give an opaque coating"):
             write_coated("newtonian", tmp_path / "no.xml", Rules({"primary": "bbar3"}))
 
+    def test_what_a_table_blocks(self, tmp_path: Path, monkeypatch: Patch) -> None:
+        """A detector whose table transmits nothing is no clear surface."""
+        (tmp_path / "t.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,0.1,0\n550,90,0.1,0\n")
+        monkeypatch.chdir(tmp_path)
+        detector = replace(lens().detector, coating=Coating(table="t.csv"))
+        system, rules = replace(lens(), detector=detector), Rules({"*": "bbar3"})
+        system.to_xml("t.xml")
+        for found in coated_prescription(system, rules)[1], write_coated("t.xml", "new.xml", rules):
+            assert set(found.changes) == {"A front", "B_rear"}
+
     def test_names_of_the_scene(self, file: Path, tmp_path: Path) -> None:
         """What the scene has by a name is referred to; a new one of the same values too; another one gets a number."""
         layers, shared = tmp_path / "1.xml", tmp_path / "2.xml"
@@ -154,6 +174,18 @@ class TestPatterns:
         films = bsdfs(mistray.load(shared))
         assert [layer.thickness_nm for layer in films["B_rear"].coating.layers] == [100]
         assert [layer.thickness_nm for layer in films["A front"].coating.layers] == [90]
+
+    def test_names_in_included_scenes_are_taken(self, file: Path, tmp_path: Path) -> None:
+        film = '<bsdf type="thinfilm" id="bbar3"><string name="preset" value="bbar3"/></bsdf>'
+        (tmp_path / "part.xml").write_text(f'<scene version="3.0.0">{film}</scene>')
+        text = file.read_text(encoding="utf-8").replace("</scene>", '<include filename="part.xml"/></scene>')
+        file.write_text(text, encoding="utf-8")
+        found = write_coated(file, tmp_path / "new.xml", Rules({"A front": "bbar3"}))
+        assert found.changes["A front"].coating.name == "bbar3_2"
+        assert 'id="bbar3_2"' in recoated(file, [SharedCoating("bbar3", preset("v_coat"), ("B_rear",))], tmp_path)
+        shade = Structure("shade", 14, -30, 14, -1, coating=Coating(preset="bbar3", name="bbar3"))
+        scene = mistray.load(add_structures(file, [shade], tmp_path / "shaded.xml"))
+        assert bsdfs(scene)["shade"].film.id() == "bbar3"
 
     def test_files_lie_where_they_are(self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """Paths count from the current folder; the new scene finds them from its own."""
@@ -178,6 +210,9 @@ class TestPatterns:
         (tmp_path / "scene" / "out").mkdir()
         rules, expected = {"rear": "R=0 T=1"}, pytest.approx(passed(1, 1.4), rel=2e-6)
         assert direct(mistray.coat(file, rules)) == expected
+        assert refractive_index(read_optics("scene/scene.xml")[0].surfaces[0].back, 550.0) == 1.4
+        fitted = mistray.coat(file, {"rear": "bbar3"})  # to the index of the glass
+        assert direct(fitted) == pytest.approx(passed(1, 1.4), abs=5e-3)
         write_coated("scene/scene.xml", "scene/out/new.xml", Rules(rules))
         assert direct(mistray.load("scene/out/new.xml")) == expected
         monkeypatch.chdir("/")
@@ -241,6 +276,10 @@ class TestCommand:
         }  # fmt: skip
         assert {"surface": "A_B", "pattern": "*", "why": "lies in cement"} in record["left"]
         assert record["files"] == [str(new)]
+        ideal = ("A front=R=0 T=0.9", "B=R=0.02 T=0.98")
+        assert "R = 0, T = 0.9: A front\nR = 0.02, T = 0.98: B_rear" in succeeds(
+            capsys, "coat", file, *ideal, "-o", new, "--force"
+        )
 
     def test_options_of_a_trace(self, file: Path, tmp_path: Path, capsys: Captured) -> None:
         succeeds(capsys, "coat", file, "?*=bbar3", "-o", tmp_path / "new.xml")
@@ -310,6 +349,21 @@ class TestWhatChanges:
         assert '<float name="design_nm" value="10600"/>' in text
         mirror = SharedCoating("mirror", preset("protected_al"), ("L1_front",))
         assert '<boolean name="opaque" value="true"/>' in recoated(TRIPLET, [mirror], tmp_path)
+
+
+INFRARED = {"spectrum": "blackbody:300", "band_nm": (8000.0, 12000.0)}
+
+
+@pytest.mark.parametrize(
+    ("light", "nm"),
+    [({"wavelength_nm": (8000.0, 12000.0)}, 1e4), (INFRARED, 1e4), ({"spectrum": "F C"}, 550.0), ({}, 550.0)],
+)
+def test_waves_are_those_of_the_light(light: dict[str, object], nm: float, tmp_path: Path) -> None:
+    system = replace(lens(), source=Source(radius=2.0, **light))
+    system.to_xml(tmp_path / "plate.xml")
+    rules = Rules(coatings={"B": "ZnS 0.25w"})
+    for found in coated_prescription(system, rules)[1], write_coated(tmp_path / "plate.xml", tmp_path / "b.xml", rules):
+        assert found.changes["B_rear"].coating.design_nm == pytest.approx(nm, rel=1e-3)
 
 
 def test_files_that_are_refused(tmp_path: Path) -> None:

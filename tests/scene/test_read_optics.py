@@ -10,7 +10,7 @@ from refusals import each_refused, refused
 from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
 from mistray.physics.geometry.pose import moved
 from mistray.physics.sags.grid import Grid
-from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Surface
 from mistray.scene.depth import check_source
 from mistray.scene.files import scene_files
 from mistray.scene.load import shipped_scenes
@@ -21,6 +21,7 @@ from mistray.scenes.phone_camera.prescription import build as phone_camera
 pytestmark = pytest.mark.quick
 
 GLASS = '<bsdf type="interface"><string name="back" value="N-BK7"/></bsdf>'
+BLIND = '<bsdf type="interface"><string name="table" value="blind.csv"/></bsdf>'
 SCENE = vectors.text("optics.xml")
 KEYS = ("name", "curvature", "conic", "coefficients", "semi_diameter", "half_width", "front", "back", "mirror")
 
@@ -57,7 +58,9 @@ def test_surfaces_of_a_shipped_scene_are_those_of_its_prescription(name, build):
     assert found.source.wavelength_nm == expected.source.wavelength_nm
 
 
-def test_what_a_scene_may_say_and_its_coatings(read):
+def test_what_a_scene_may_say_and_its_coatings(read, tmp_path):
+    (tmp_path / "COATING.DAT").write_text("MATE MGF2\n0.55 1.38 0\nCOAT AR\nMGF2 0.25\n")
+    (tmp_path / "blind.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,0.1,0\n550,90,0.1,0\n")
     steps = '<rotate x="-1" angle="20"/><rotate z="1" angle="30"/><translate value="1 2 3"/>'
     shifted = (number("x", 0.5), number("tilt_y", 5), f'<transform name="to_world">{steps}</transform>')
     frustum = "".join(number(key, value) for key, value in {"r0": 3, "z0": 9, "r1": 8, "z1": 9}.items())
@@ -81,6 +84,12 @@ def test_what_a_scene_may_say_and_its_coatings(read):
     assert (source.radius, source.field_deg) == (4.0, 10.0)
     assert (source.wavelength_nm, source.weights) == ((486.1, 656.3), (1.0, 3.0))
     assert prescription.name == "camera"
+    melt = GLASS.replace("/></bsdf>", f"/>{number('n_back_shift', 5e-4)}</bsdf>")
+    assert read(shape(bsdf=melt))[0].surfaces[0].back == "N-BK7 shift=0.0005"
+    polish = f'/><bsdf type="harvey_shack">{number("rms_nm", 4)}</bsdf></bsdf>'
+    scattering = read(shape(bsdf=GLASS.replace("/></bsdf>", polish)))[0]
+    assert scattering.surfaces[0].scatter == (Scatter("harvey_shack", {"rms_nm": 4.0}),)
+    assert read(shape(bsdf=BLIND), shape(name="rear"))[1] == ("front",)
     films = {
         '<string name="preset" value="bbar3"/>': Coating(preset="bbar3", name="ar"),
         '<string name="layers" value="MgF2 100"/>': Coating(layers="MgF2 100", name="ar"),
@@ -106,8 +115,9 @@ def test_freeforms_come_back(tmp_path):
         Surface("grid", z=9.0, semi_diameter=4.0, sag={"grid": Grid.of(np.eye(9), (1.0, 1.0)), "grid_scale": 1e-3}),
     )  # fmt: skip
     spider = Surface("spider", z=30.0, outline=rectangle(9.0, 0.1), coating=None)
-    detector = Detector(z=60.0, half_width=4.0, half_height=3.0)
-    lens = Prescription(name="x", surfaces=surfaces, structures=(spider,), detector=detector, source=Source(radius=5.0))
+    detector = Detector(z=60.0, half_width=4.0, half_height=3.0, front="1.5")
+    source = Source(radius=5.0, y=1.0, tilt_deg=(-10.0, 0.0, 20.0))
+    lens = Prescription(name="x", surfaces=surfaces, structures=(spider,), detector=detector, source=source)
     lens.to_xml(tmp_path / "lens.xml")
     text = (tmp_path / "lens.xml").read_text()
     (tmp_path / "lens.xml").write_text(text.replace('name="curvature_x" value="-0.01"', 'name="radius_x" value="-100"'))
@@ -117,6 +127,8 @@ def test_freeforms_come_back(tmp_path):
             assert getattr(ours, key) == getattr(theirs, key), (theirs.name, key)
         assert {**ours.sag, "grid": None} == {**theirs.sag, "grid": None}
     np.testing.assert_allclose(found.surfaces[3].sag["grid"].corners, surfaces[3].sag["grid"].corners)
+    assert found.detector.front == "1.5"
+    np.testing.assert_allclose(found.source.to_world(), source.to_world(), atol=1e-12)
     assert left_out == ("spider",)  # mechanics, though light gets through
 
 
@@ -166,6 +178,24 @@ def test_light_and_stop_are_those_of_the_trace(read, tmp_path):
     (tmp_path / "lines.xml").write_text(lines)
     source = read_optics(tmp_path / "lines.xml")[0].source
     assert (source.spectrum, source.band_nm, source.bands) == ("blackbody:3000", (500.0, 600.0), 2)
+
+
+@pytest.mark.parametrize(
+    ("kind", "light", "nm"),
+    [
+        ("sky", {"spectrum": "F C"}, (486.1, 656.3)),
+        ("point", {"wavelength_nm": "450 550"}, (450.0, 550.0)),
+        ("thermal", {"band_nm": "3000 5000"}, (3000.0, 5000.0)),
+        ("sky", {}, (550.0,)),
+    ],
+)
+def test_of_other_sources_the_wavelengths_are_read(tmp_path, kind, light, nm):
+    values = "".join(f'<string name="{key}" value="{value}"/>' for key, value in light.items())
+    scene = tmp_path / "scene.xml"
+    scene.write_text(f'<scene version="3.0.0"><emitter type="{kind}">{values}</emitter>{shape()}</scene>')
+    prescription, _ = read_optics(scene)
+    assert prescription.source.light.wavelengths_nm == pytest.approx(nm, abs=0.1)
+    assert prescription.provenance == f"the source, '{kind}', is left out but for its wavelengths"
 
 
 def test_surfaces_with_a_thinfilm_alone_and_in_an_included_scene(read, tmp_path):

@@ -90,6 +90,28 @@ class TestText:
         expected = before | {key: np.atleast_1d(np.asarray(value, dtype=float)) for key, value in values.items()}
         assert_loads(write_rewritten(source, values, tmp_path / "new.xml"), expected)
 
+    @pytest.mark.parametrize(
+        ("radius", "curvature"), [("radius_x", "curvature_x"), ("toroid_radius", "toroid_curvature")]
+    )
+    def test_a_radius_in_x_stays_one(self, radius: str, curvature: str, tmp_path: Path) -> None:
+        lens = shape_xml("freeform", "lens", 0.0, interface_xml(back="1.5"), semi_diameter=5.0, **{radius: -100.0})
+        source = write(tmp_path, scene_text(lens))
+        _, new = changes(source.read_text(), rewritten(source, {f"lens.{curvature}": -0.0125}, tmp_path))
+        assert any(f'name="{radius}" value="-80"' in line for line in new)
+        path = write_rewritten(source, {f"lens.{curvature}": -0.011}, tmp_path / "new.xml")
+        assert mi.traverse(mistray.load(path))[f"lens.{curvature}"][0] == -0.011
+
+    @pytest.mark.parametrize("values", [{"B": 2e-3}, {"A": 3e-5, "B": 1e-3, "g": 2.5}])
+    def test_parameters_of_an_abg_catalogue(self, values: dict[str, float], tmp_path: Path) -> None:
+        (tmp_path / "ABG.DAT").write_bytes((Path(__file__).parents[1] / "data/abg_catalogue.dat").read_bytes())
+        text = scene_text(shape_xml("asphere", "lens", 0.0, interface_xml(back="1.5"), semi_diameter=5.0))
+        polish = '<bsdf type="abg"><string name="file" value="ABG.DAT:Polish 1"/></bsdf></bsdf>'
+        source = write(tmp_path, text.replace("</bsdf>", polish, 1))
+        path = write_rewritten(source, {f"lens.bsdf.abg.{key}": v for key, v in values.items()}, tmp_path / "new.xml")
+        model = mistray.load(path).shapes()[0].bsdf().scatterers[0].model
+        expected = {"A": 2e-5, "B": 1e-6, "g": 2.0, "reference_nm": 632.8} | values
+        assert {key: getattr(model, key) for key in expected} == pytest.approx(expected, rel=1e-6)
+
     def test_shared_objects_stay_shared(self, tmp_path: Path) -> None:
         source = write(tmp_path, SCENE)
         thickness = [layer.thickness_nm + 1.5 for layer in preset("bbar3").layers]

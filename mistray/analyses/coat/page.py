@@ -52,4 +52,6 @@ def _called(coating: Any) -> str:
         return "bare"
     if coating.name is not None:
         return str(coating.name)
-    return f"R = {coating.R:g}" + (f", T = {coating.T:g}" if coating.T else "") if coating.R else "black"
+    if coating.R is None:
+        return str(coating.table or coating.layers or coating.preset)
+    return f"R = {coating.R:g}" + (f", T = {coating.T:g}" if coating.T else "") if coating.R or coating.T else "black"

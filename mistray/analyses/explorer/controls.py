@@ -16,7 +16,8 @@ from mistray.metrics.parameters import Parameter, match, parameters
 from mistray.prescription.by_text import BARE
 from mistray.prescription.geometry import is_gas
 from mistray.ranges import ANYTHING, ByName, Range
-from mistray.scene.coat import faces_of, light_nm
+from mistray.scene.coat import faces_of
+from mistray.scene.read_optics import light_nm
 from mistray.scene.xml_file import SceneFile
 from mistray.surfaces.surfaces import solid_shapes
 
@@ -202,7 +203,7 @@ def _coatings(path: Path, scene: Any) -> list[Control]:
             parts.setdefault(face.part or face.name, {})[face.name] = body
     if not parts:
         return []
-    light = light_nm(file)
+    light = light_nm(path)
     found = [
         Control(f"coating {part}", COATING, AS_IT_IS, part, choices=_choices(set(on.values()), light),
                 surfaces=tuple(on), bodies=tuple(on.values()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,20 +75,21 @@ def _lens(output: Path, options: Options) -> Found:
         raise MistrayError(f"output '{output}': '{output.suffix}' cannot be written; end it in .zmx, .step or .csv")
     prescription, left_out = read_optics(options.scene)
     lens = to_sequential(prescription)
+    notes = [*lens.notes, *prescription.provenance.splitlines()]
     if left_out:
-        lens = replace(lens, notes=(*lens.notes, f"structure is left out ({len(left_out)} shapes)"))
+        notes.append(f"structure is left out ({len(left_out)} shapes)")
     lost = write_zemax(lens, output)
     surfaces, near = sum(row.kind == "surface" for row in lens.rows), lens.aperture_kind == "object_na"
     record = {
         "surfaces": surfaces,
         "object_na" if near else "entrance_pupil_diameter_mm": lens.aperture,
         "wavelengths_nm": list(lens.wavelengths_nm),
-        "notes": list(lens.notes),
+        "notes": notes,
         "approximate": list(lost),
         "left_out": list(left_out),
     }
     beam = f"object NA {lens.aperture:.6g}" if near else f"entrance pupil {lens.aperture:.6g} mm"
-    return record, (f"{surfaces} surfaces, {beam}", *lens.notes, *lost)
+    return record, (f"{surfaces} surfaces, {beam}", *notes, *lost)
 
 
 def _critical_rays(output: Path, options: Options) -> Found:

@@ -18,14 +18,15 @@ RAYS = 4000
 @dataclass(frozen=True)
 class Arriving:
     """
-    Share of the beam of an imported scene file that reaches its detector, without reflections at glass.
+    Fraction of the light of an imported scene that reaches its detector without reflections at glass.
 
     Attributes
     ----------
     scene_file : Path
-        The scene file.
+        Scene file.
     share : float
-        Share of the beam's flux that the detector absorbs, 0 … 1.
+        Flux that the detector absorbs over that through the source's ``pupil_area``, or over all its flux without one;
+        above 1 if light beside that area arrives.
     lost : str
         Largest loss of the rest, see `mistray.trace.energy.Energy.greatest_loss`.
     entrances : Entrances
@@ -38,7 +39,7 @@ class Arriving:
     entrances: Entrances
 
     def record(self) -> dict[str, Any]:
-        """Return the arriving share and the entrances as JSON-serialisable values."""
+        """Return the arriving fraction of the light and the entrances as JSON-serialisable values."""
         others = [{"surface": name, "share": share} for name, share in self.entrances.others.items()]
         return {"arriving_share": self.share, "entrances": {**asdict(self.entrances), "others": others}}
 
@@ -53,7 +54,7 @@ class Arriving:
 
 
 def arriving(scene_file: Path) -> Arriving:
-    """Return the share of a scene's beam that arrives at its detector, and the entrances of light, by tracing both."""
+    """Return the fraction of a scene's light that arrives at its detector, and the entrances of light, from traces."""
     from mistray.analyses.import_lens.entrances import entrances
     from mistray.scene import load
     from mistray.trace import Settings, trace

@@ -1,8 +1,9 @@
 """Reader of telescopes from batoid (https://github.com/jmeyers314/batoid): mirrors, lenses, baffles, detector.
 
 batoid works in metres and its light comes from above, along -z. The world frame is kept and lengths are converted to
-mm, so positions on the detector compare directly. The source is turned by 180° about y. Its ``field_deg`` is batoid's
-``theta_y``; with ``azimuth_deg`` φ, theta_x = θ sin φ and theta_y = θ cos φ (projection "postel").
+mm, so positions on the detector compare directly. The source is turned by 180° about the y axis of the optic's frame,
+which is that of the world for a telescope that is not turned. Its ``field_deg`` is batoid's ``theta_y``; with
+``azimuth_deg`` φ, theta_x = θ sin φ and theta_y = θ cos φ (projection "postel").
 
 batoid traces sequentially and drops light that falls outside a clear aperture. Here every consecutive run of refracting
 surfaces, the detector included, is closed into one black tube (`barrel`), so that light clipped in the camera is
@@ -150,7 +151,9 @@ def _source(optic: Any, wavelength_nm: float, beam: Fill) -> tuple[Source, list[
     origin = np.zeros(3) if stop is None else np.asarray(stop.coordSys.origin)
     x, y, z = (float(value) * M_TO_MM for value in origin)
     size, notes = beam_size(beam, outer * M_TO_MM, inner=inner * M_TO_MM)
-    place: Any = {"x": x, "y": y, "z": z, "tilt_deg": (0.0, 180.0, 0.0)}
+    about_x, about_y, about_z = fixed_angles_deg(np.asarray(optic.coordSys.rot))
+    tilt = (0.0 - about_x, about_y + 180.0, about_z)  # Rz Ry Rx Ry(180°) = Rz Ry(180°) Ry Rx⁻¹
+    place: Any = {"x": x, "y": y, "z": z, "tilt_deg": tilt}
     return Source(**place, **size, plane="axis", wavelength_nm=(float(wavelength_nm),)), notes
 
 
@@ -168,7 +171,7 @@ class _Reader:
     surfaces, structures, detector
         Surfaces, structures and detector converted so far; the detector is None at first.
     direction : (3,) float64
-        Unit vector, in the world, along the light behind the last mirror so far; -z at first.
+        Unit vector, in the world, along the light behind the last mirror so far; -z of the optic's frame at first.
     group : list of Surface
         Refracting surfaces since the last mirror, and the detector, which get walls from `close_group`.
     notes : list of str
@@ -184,9 +187,12 @@ class _Reader:
     surfaces: list[Surface] = field(default_factory=list)
     structures: list[Structure | Surface] = field(default_factory=list)
     detector: Detector | None = None
-    direction: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    direction: np.ndarray = field(init=False)
     group: list[Surface] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.direction = -np.asarray(self.optic.coordSys.rot)[:, 2]
 
     @cached_property
     def light(self) -> BatoidLight:

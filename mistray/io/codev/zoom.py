@@ -25,7 +25,7 @@ class ZoomPosition:
 
     Parameters
     ----------
-    wanted : int, str or None
+    given : int, str or None
         Number of the position from 1 on, or its name; None means the first one.
 
     Attributes
@@ -39,8 +39,8 @@ class ZoomPosition:
         has begun; "" if there is only one position.
     """
 
-    def __init__(self, wanted: int | str | None) -> None:
-        self._wanted = wanted
+    def __init__(self, given: int | str | None) -> None:
+        self._given = given
         self.number, self.count, self.note = 1, 1, ""
         self.names: dict[int, str] = {}
 
@@ -56,7 +56,7 @@ class ZoomPosition:
         every = list(found)
         for command in every:
             self._look(command)
-        self.number, self.note = choose_position(self._wanted, 1, self.names, self.count, "zoom position")
+        self.number, self.note = choose_position(self._given, 1, self.names, self.count, "zoom position")
         solved = [f"{c.text} (line {c.line})" for c in every if c.name in SOLVES and self.number != 1]
         self.note += f"; not solved anew, but as in zoom position 1: {', '.join(solved)}" if solved else ""
         for command in every:

@@ -33,7 +33,7 @@ _OF_FIELD = {
 _APERTURES = ("ENPD", "FNUM", "OBNA")
 
 
-def at_configuration(sections: Sections, wanted: int | str | None) -> str:
+def at_configuration(sections: Sections, given: int | str | None) -> str:
     """
     Write the values of a configuration into the lines of the system and the surfaces.
 
@@ -41,7 +41,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     ----------
     sections : Sections
         Sections of the file; the lines of configurations are removed from the last one.
-    wanted : int, str or None
+    given : int, str or None
         Number of the configuration from 1 on, or its name; None means the one that the file was saved in.
 
     Returns
@@ -61,7 +61,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     rows = _rows(sections.after, head)
     names = {_whole(line, 1): _name(line) for line in rows if line.key == "LTTL"}
     with errors_of(head.where if head else "lens"):
-        number, note = choose_position(wanted, saved, names, count, "configuration")
+        number, note = choose_position(given, saved, names, count, "configuration")
     if number == saved:
         return note
     for line in rows:
@@ -103,9 +103,7 @@ def _set(sections: Sections, line: ZemaxLine) -> None:
     if line.key in _OF_SURFACE:
         if not 0 <= place < len(sections.surfaces):
             raise line.error(f"{line.key} of surface {place}; the lens has surfaces 0 to {len(sections.surfaces) - 1}")
-        value = line.value(2)
-        infinite = line.key == "THIC" and place == 0 and value >= 1e10
-        _replace(sections.surfaces[place], _OF_SURFACE[line.key], 0, "INFINITY" if infinite else repr(value), line)
+        _replace(sections.surfaces[place], _OF_SURFACE[line.key], 0, repr(line.value(2)), line)
     elif line.key in _OF_FIELD:
         if place < 1:
             raise line.error(f"{line.key} of field {place}; they are numbered from 1 on")

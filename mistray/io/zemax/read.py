@@ -6,7 +6,7 @@ have no effect.
 
 =========================  ========================================================================================
 ``CURV c``                 curvature, per lens unit
-``DISZ t``                 thickness to the next surface; INFINITY for a distant object
+``DISZ t``                 thickness to the next surface; INFINITY, or 1e10 and more, for a distant object
 ``CONI k``                 conic constant
 ``PARM i v``, ``XDAT``     see `sags`; COORDBRK: decentre x, y, tilt about x, y, z, order
 ``GLAS …``                 see `glasses`; MIRROR reflects; without it air follows, and behind a coordinate break
@@ -57,6 +57,7 @@ _REMEDIES = {
     "PARAXIAL": "put the real surfaces of that lens in its place",
     "NONSEQCO": "a non-sequential component has no order of surfaces, bring it in as STEP",
 }
+_INFINITE = 1e10  # lens units, from which on OpticStudio takes an object to be at infinity
 _SPIDER = 4.0  # length of an arm by the drawn radius
 _SPIDER_MM = 1e4  # the same where none is drawn
 _FIGURES = {
@@ -141,6 +142,7 @@ class _Reader:
         if coatings is not None:
             self.coating_file = read_coating_file(coatings, wavelengths[self.system.primary])
         self.materials: dict[int, str] = {}
+        self.stop_mm = 0.0  # semi-diameter of the stop in the file, whatever aperture the surface has
 
     def sequential(self, note: str = "") -> Sequential:
         """
@@ -208,7 +210,8 @@ class _Reader:
         self._list_rest(section)
         if thickness is None or (thickness.words and thickness.words[0].upper() == "INFINITY"):
             return math.inf, material
-        return thickness.value(0, "a thickness or INFINITY") * self.unit, material
+        distance = thickness.value(0, "a thickness or INFINITY")
+        return math.inf if distance >= _INFINITE else distance * self.unit, material
 
     def _row(self, number: int, section: ZemaxSection, before: str, image: bool) -> Row:
         head = section.head
@@ -263,12 +266,15 @@ class _Reader:
         figure = figure_of(name, n, self._first(section, "CURV"), self._first(section, "CONI"), head)
         self._rest(n, name)
         material, mirror = self._glass(section, before, image)
+        stop = bool(section.take("STOP"))
+        if stop:
+            self.stop_mm = n.semi_diameter * self.unit
         return Row(
             number,
             kind="image" if image else "surface",
             material=material,
             mirror=mirror,
-            stop=bool(section.take("STOP")),
+            stop=stop,
             coating=self._coating(section),
             decentre=self._before(section),
             **figure,
@@ -398,13 +404,13 @@ class _Reader:
         return found
 
     def _stop_semi_diameter(self, rows: Sequence[Row]) -> float:
-        stops = [row for row in rows if row.stop]
-        if not stops or not stops[0].semi_diameter:
+        size = self.stop_mm or next((row.semi_diameter for row in rows if row.stop), None)
+        if not size:
             raise MistrayError(
                 f"lens '{self.path}': its aperture floats by the stop (FLOA), but no surface is a STOP with a "
                 "semi-diameter (DIAM); add it"
             )
-        return stops[0].semi_diameter
+        return size
 
     def _list_rest(self, section: ZemaxSection) -> None:
         self.unread += [line.unread(f"not known to mistray, on {section.name}") for line in section.left()]

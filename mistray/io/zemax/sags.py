@@ -282,7 +282,7 @@ def type_of(row: Row) -> tuple[str, list[str]]:
         numbers = {i: given.pop(f"{'r' if i % 2 else 'a'}{i}", 0.0) for i in range(1, _ODD_TERMS + 1)}
     elif "xy" in heads:
         kind, extra = "XPOLYNOM", _written_polynomial(given)
-    elif "slope" in heads and not row.radius < math.inf:
+    elif "slope" in heads and row.radius in (0.0, math.inf):
         kind, numbers = "TILTSURF", {1: given.pop("slope_x", 0.0), 2: given.pop("slope_y", 0.0)}
     elif any(given.get(f"a{order}") for order in range(2 * _EVEN_TERMS + 2, 31, 2)):
         kind = "XASPHERE"
@@ -316,5 +316,5 @@ def _written_zernikes(given: dict[str, float], kind: str) -> dict[int, float]:
 
 def _written_polynomial(given: dict[str, float]) -> dict[int, float]:
     found = {k: given.pop(f"xy_{i}_{j}") for k, (i, j) in enumerate(XY_ORDERS[1:], 1) if f"xy_{i}_{j}" in given}
-    last = max(found)
+    last = max(found, default=0)
     return {1: float(last), 2: 1.0} | {2 + k: found.get(k, 0.0) for k in range(1, last + 1)}

@@ -29,7 +29,7 @@ from mistray.replace_file import replace_file
 
 _INFRARED = ("GERMANIUM", "SILICON", "ZNSE", "ZNS_IR", "CDTE", "KRS5")  # these are not in Zemax's catalogue MISC
 # A Vd of 0 means "no dispersion" to OpticStudio and a division by zero to others. In light of the d line alone no
-# program looks at Vd, so that there one stands that all can divide by and that `read_zemax` knows.
+# program looks at Vd, so that there one stands that all can divide by, and `read_zemax` takes it for 0.
 _NO_DISPERSION_VD, _ANY_VD = 0.0, 1e10
 _D_LINE_NM = 0.01  # nearness to it
 _FIELD_TYPES = {"angle_deg": 0, "object_height": 1, "image_height": 2}
