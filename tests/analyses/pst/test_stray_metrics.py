@@ -579,6 +579,7 @@ def test_wrong_arguments(scene) -> None:
         (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean 'rays'"),
         (lambda: pst_bin(scene, 20, method="forward"), "method of a PST metric is 'forward'; use 'joined'"),
         (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is not a setting of a PST metric"),
+        (lambda: pst_bin(scene, 20, next_order=True), "next_order is not a setting of a PST metric"),
         (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
         (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between -90 and 90"),
         (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),
@@ -590,4 +591,6 @@ def test_wrong_arguments(scene) -> None:
         (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),
         (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; choose from mean"),
         (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
+        (lambda: veiling_glare(scene, 5.0, source_deg=0), "band from 0 to 0°; field angles must ascend"),
+        (lambda: veiling_glare(scene, 5.0, source_deg=np.nan), "band from 0 to nan°; field angles must ascend"),
     )
