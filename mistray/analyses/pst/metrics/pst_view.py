@@ -15,7 +15,8 @@ from mistray.metrics.views import TraceView, sorted_arguments
 METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
 # Arguments of `mistray.pst` that a metric refuses: it is computed from PST_normal, of `rays` rays, each time anew
 NO_ARGUMENTS = (
-    "relative_error", "error_up_to_deg", "state", "resume", "seconds", "map_pixels", "paths", "next_order", "convention",
+    "relative_error", "error_up_to_deg", "state", "resume", "seconds", "map_pixels", "paths", "next_order",
+    "convention",
 )  # fmt: skip
 
 
