@@ -128,7 +128,7 @@ class Explorer:
         self.controls = controls_of(self.path, self._scene, self.fields, wavelengths, request.control)
         self._looks = Looks(self._scene, self.controls)
         self.state: dict[str, VALUES] = {name: one.start for name, one in self.controls.items()}
-        self.saving = Saving(self.path, self.controls)
+        self.saving = Saving(self.path, self.controls, self._settings)
         self.version = 0
         self.message = ""
         self._changed = threading.Condition()
