@@ -109,8 +109,8 @@ def first_level_scatter(pst: Pst) -> pd.DataFrame:
     """
     Return the PST of paths with one scatter event and no ghost or structure reflection, by field angle and surface.
 
-    Columns angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level, percent_of_stray; at each angle the
-    surface that scatters most comes first. Errors of the paths of a surface are added in quadrature.
+    Columns are angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level and percent_of_stray. At each angle
+    the surface that scatters most comes first. Errors of the paths of a surface are added in quadrature.
     """
     columns = ["angle_deg", "surface", "paths", "rays", "pst", "pst_se", "percent_of_first_level", "percent_of_stray"]
     parts = []

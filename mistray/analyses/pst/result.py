@@ -388,8 +388,8 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         """
         Return the PST as a DataFrame, one row for each cell of field angle and azimuth.
 
-        Columns angle_deg, angle_from_deg, angle_to_deg, azimuth_deg, convention, method; for total, stray and each
-        class of light the PST and its standard error (``…_se``).
+        Columns are angle_deg, angle_from_deg, angle_to_deg, azimuth_deg, convention, method, and for total, stray and
+        each class of light the PST and its standard error (``…_se``).
         """
         import pandas as pd
 

@@ -195,6 +195,7 @@ class TestErrors:
         assert (ratio.value, ratio.se) == (pytest.approx([1, 0.5]), pytest.approx([0, 0], abs=1e-12))
         other = rejection_ratio(pst, reference=Estimate(pst.value[0], 0.1))
         assert other.se[1] > 0.05
+        assert other.facts["reference_deg"] is None
 
 
 class TestCurves:
@@ -308,6 +309,7 @@ class TestVeilingGlare:
         black = np.where(self.angles > self.patch, pst.grid.solid_angle, 0)
         error = np.linalg.norm(black - glare.value / 100 * pst.grid.solid_angle) * 0.1 * self.g
         assert glare.se == pytest.approx(100 * error / (self.d * solid(0, 0.5) + self.g * solid(0, 90)), rel=1e-6)
+        assert veiling_glare_index(pst, self.patch, at_mm=(1.0, 1.0)).value == glare.value  # the corner of that pixel
         dark = veiling_glare_index(pst, self.patch, at_mm=(-0.5, 0.5))
         assert dark.value == pytest.approx(100 * solid(self.patch, 90) / solid(0, 90), rel=1e-9)
         # The spread of glare: direct flux on axis 0.5 · 4 mm² per W/mm²
@@ -364,6 +366,8 @@ def test_bad_input() -> None:
         (lambda: veiling_glare_index(pst, 1, place="map"), "map_pixels"),
         (lambda: veiling_glare_index(pst, 1, 3, place="point"), "azimuths_deg"),
         (lambda: veiling_glare_index(bright, 1, at_mm=(3.0, 0.0)), "-1 to 1"),
+        (lambda: veiling_glare_index(bright, 1, at_mm=(0.0, 0.0), place="point"), "at_mm is a pixel of place 'map'"),
+        (lambda: veiling_glare_index(pst, 1, at_mm=(0.0, 0.0)), "map_pixels"),
         (lambda: glare_spread(pst), "map_pixels"),
     )
 

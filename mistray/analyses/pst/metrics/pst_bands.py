@@ -107,7 +107,7 @@ class PstBands:
     Raises
     ------
     MistrayError
-        If a key has no derivative or several entries, or the edges do not fit.
+        If a key has no derivative or several entries, the edges do not fit, or an argument would have no effect here.
 
     Examples
     --------
