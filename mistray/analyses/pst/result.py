@@ -77,8 +77,8 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         Fraction, 0 … 1, of the scattered light of a cell that its strongest single ray carries; if it is large, so are
         the errors of the errors.
     path_rows : DataFrame, optional
-        Paths by cell: columns cell (index of the field angle), azimuth_cell, events, path, order, kind, ghost_1,
-        ghost_2, scatter_1, scatters, structure_bounces, tir, rays, pst_normal, pst_normal_se.
+        Paths by cell: columns cell (index of the field angle), azimuth_cell, those of
+        `mistray.recorders.path_events.describe_events`, rays, pst_normal and pst_normal_se, dimensionless.
     maps : (2, n, m, h, w) float64, optional
         PST_normal of each pixel of the detector, h rows by w columns, and its standard error, dimensionless.
     extent_mm : tuple of four float
