@@ -139,8 +139,8 @@ def glare_cells(
     Raises
     ------
     MistrayError
-        If the place is unknown, the patch is not within the source, or it is off the axis while one cell covers all
-        azimuths.
+        If the place is unknown, the patch is not within the source, no cell contains any of it, or it is off the axis
+        while one cell covers all azimuths.
     """
     if place not in PLACES:
         raise MistrayError(f"place is '{place}'; use 'map', 'point' or 'mean'")
