@@ -197,9 +197,7 @@ def first_level(
     map_pixels : int, optional
         Longer side of maps of the detector for each angle, pixels; 0: none. 0 … 4096.
     next_order : bool, optional
-        Measure the PST again with one more scatter event and, apart from that, with one more reflection, see
-        `Pst.next_orders`. These have together as many rays as the first. If the stray light at some angle changes
-        by more than 5 % and two errors, the result is the PST with that limit.
+        Refused: it would change the limits of the sets.
     limits : Mapping[str, Mapping[str, object]], optional
         Sets: name → limits of a trace that it changes; without it `LIMITS`. A limit that is given beside it holds
         where a set does not change it.

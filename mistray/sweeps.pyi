@@ -396,9 +396,7 @@ def sweep_pst(
     map_pixels : int, optional
         Longer side of maps of the detector for each angle, pixels; 0: none. 0 … 4096.
     next_order : bool, optional
-        Measure the PST again with one more scatter event and, apart from that, with one more reflection, see
-        `Pst.next_orders`. These have together as many rays as the first. If the stray light at some angle changes
-        by more than 5 % and two errors, the result is the PST with that limit.
+        Refused: it would give the runs different limits.
     progress : callable, optional
         Called after every PST with (PSTs done, PSTs to do).
     wavelength_nm : float | Iterable[float], optional

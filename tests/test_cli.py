@@ -265,3 +265,6 @@ def test_bars_say_at_once_what_is_done(monkeypatch: Patch) -> None:
             draw(state)
         assert text in terminal.getvalue()
     assert "tracing:  25%" in terminal.getvalue()
+    # What an interrupt of the measurement with one more event leaves is the first one
+    first, more = (PstProgress(rays, rays, 0.03, None, 60.0, 0.0) for rays in (4000, 500))
+    assert pst._so_far([first, more]) == "4e+03 start rays, worst error 3 %, are"

@@ -39,7 +39,7 @@ def scene_sources(
     weights: Any = None,
 ) -> list[SceneSource]:
     """
-    Return the sources of a scene that are to be traced, one for each emitter and wavelength.
+    Return the sources of a scene that are to be traced, one for each emitter and wavelength with light.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def scene_sources(
         if not 0 < power < np.inf:
             remedy = "it sends no light, change its numbers" if power == 0 else "give a smaller irradiance or beam"
             raise MistrayError(f"source '{name}' has a power of {power} W; {remedy}")
-        result += found
+        result += [source for source in found if source.power > 0]
     return result
 
 
@@ -116,12 +116,17 @@ def field_axes(scene: mi.Scene) -> np.ndarray:
 def spectrum_of(
     scene: mi.Scene, wavelength_nm: float | Sequence[float] | None, weights: float | Sequence[float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return wavelengths, nm, and fractions of the flux, (n,) each: as given, else of the first source, else 550 nm."""
-    if wavelength_nm is None and weights is None:
-        for emitter in source_emitters(scene):
-            return emitter.wavelengths_nm, emitter.weights
-        return np.array([DEFAULT_NM]), np.ones(1)
-    return spectrum(wavelength_nm, weights)
+    """
+    Return wavelengths, nm, and fractions of the flux, (n,) each: as given, else of the first source, else 550 nm.
+
+    Wavelengths without flux are left out: they need no rays.
+    """
+    lines, shares = np.array([DEFAULT_NM]), np.ones(1)
+    if wavelength_nm is not None or weights is not None:
+        lines, shares = spectrum(wavelength_nm, weights)
+    elif emitters := source_emitters(scene):
+        lines, shares = emitters[0].wavelengths_nm, emitters[0].weights
+    return lines[shares > 0], shares[shares > 0]
 
 
 def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:

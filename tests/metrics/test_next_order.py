@@ -187,6 +187,8 @@ def test_limits_of_curves_and_progress(scene):
     assert len(level_curves(many).axes[0].containers) == 20  # more than there are colours
     with pytest.raises(MistrayError, match="limits is empty"):
         mistray.first_level(scene, limits={})
+    with pytest.raises(MistrayError, match="next_order would change the limits of the sets"):
+        mistray.first_level(scene, next_order=True)
     with pytest.raises(MistrayError, match="limits of 'x': there is no 'max_ghosts'; "):
         mistray.first_level(scene, limits={"x": {"max_ghosts": 1}})
 

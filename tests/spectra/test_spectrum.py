@@ -107,7 +107,8 @@ def test_every_form_of_a_source_takes_it(kind: str, tmp_path: Path) -> None:
     assert t.wavelengths_nm == pytest.approx(EXPECTED.wavelengths_nm)
     launched = [t.energy_at(nm).launched_W for nm in t.wavelengths_nm]
     assert np.array(launched) / sum(launched) == pytest.approx(EXPECTED.weights, rel=1e-5)
-    called = mistray.trace(scene, rays=1000, wavelength_nm=[500.0, 600.0])  # come first
+    lines = [500.0, 700.0, 600.0]
+    called = mistray.trace(scene, rays=1000, wavelength_nm=lines, weights=[1, 0, 1])  # come first; of 0 no rays
     assert called.wavelengths_nm == [500.0, 600.0]
     assert called.energy.launched_W == pytest.approx(t.energy.launched_W, rel=1e-6)
 

@@ -252,6 +252,10 @@ def _left_out(of: Traced, moved: list[Control]) -> list[str]:
             slope = of.slopes.get(c.name, UNKNOWN)
             known = "total to first order; paths and map" if math.isfinite(slope.value) else "no derivative; all"
             found.append(f"{c.label}: {known} as traced")
+        elif c.parameter is not None and c.parameter.kind == "scatter":
+            found.append(f"{c.label}: specular beams lose to scatter what they lost")
     if any(c.parameter is not None and c.parameter.name in ("level", "coverage_percent") for c in moved):
         found.append("cleanliness: scatter in proportion to the area that particles cover")
+    if of.polarized and any(c.way != OF_FIRST_ORDER for c in moved):
+        found.append("polarisation: R and T are those of unpolarised light")
     return found

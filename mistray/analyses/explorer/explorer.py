@@ -128,7 +128,7 @@ class Explorer:
         self.controls = controls_of(self.path, self._scene, self.fields, wavelengths, request.control)
         self._looks = Looks(self._scene, self.controls)
         self.state: dict[str, VALUES] = {name: one.start for name, one in self.controls.items()}
-        self.saving = Saving(self.path, self.controls)
+        self.saving = Saving(self.path, self.controls, self._settings)
         self.version = 0
         self.message = ""
         self._changed = threading.Condition()
@@ -335,11 +335,14 @@ class Explorer:
                 before = self._traced
                 if before is not None:
                     # Coatings change a relative derivative little
-                    alike = _shapes(before, self.controls) == _shapes(found, self.controls)
+                    alike = _of_rays(before, self.controls) == _of_rays(found, self.controls)
                     found.slopes = dict(before.slopes) if alike else {}
                     self._difference = self._compared(before, found)
                 self._traced = found
                 self._traces += 1
+                # Estimates between fields have no derivatives: fields traced with other shapes are traced again
+                shapes = _shapes(found, self.controls)
+                self._grid = {field: one for field, one in self._grid.items() if _shapes(one, self.controls) == shapes}
                 if found.state.get("field") in self.fields:
                     self._grid[float(found.state["field"])] = found
                 self._estimate()
@@ -584,9 +587,11 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """Return the control values that a new trace is needed for: field, wavelength, and shapes that move rays."""
-    return {
-        name: value
-        for name, value in of.state.items()
-        if controls[name].way == OF_FIRST_ORDER or controls[name].kind in (FIELD, WAVELENGTH)
-    }
+    """Return the control values of a trace that estimates follow to first order: shapes, which move rays."""
+    return {name: value for name, value in of.state.items() if controls[name].way == OF_FIRST_ORDER}
+
+
+def _of_rays(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
+    """Return the control values that the rays of a trace depend on: `_shapes`, field and wavelength."""
+    light = {name: value for name, value in of.state.items() if controls[name].kind in (FIELD, WAVELENGTH)}
+    return _shapes(of, controls) | light

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -24,6 +25,7 @@ from mistray.scene.load import load_text
 from mistray.scene.rewrite import rewritten
 
 NOTE = "turned in the live explorer"
+OF_OPTIMIZER = ("seed", "polarization")  # settings of traces that it chooses, or cannot differentiate
 THICKNESS = 0.5, 2.0  # bounds of the layers of a study, over those of its start
 
 
@@ -37,14 +39,24 @@ class Saving:
         Scene file that was explored; never overwritten.
     controls : mapping of str to Control
         Controls of the explorer, by name.
+    settings : mapping
+        Settings of the explorer's traces, which a study has as well, by name.
     folder : Path
         Folder of the files, created when something is saved.
     force : bool
         Whether to replace existing files.
     """
 
-    def __init__(self, path: Path, controls: Mapping[str, Control], folder: Path = Path(), force: bool = False) -> None:
-        self._path, self._controls, self.folder, self.force = path, controls, folder, force
+    def __init__(
+        self,
+        path: Path,
+        controls: Mapping[str, Control],
+        settings: Mapping[str, Any],
+        folder: Path = Path(),
+        force: bool = False,
+    ) -> None:
+        self._path, self._controls, self._settings = path, controls, settings
+        self.folder, self.force = folder, force
         self._own: set[Path] = set()  # files that were written here, which a later state may replace
 
     def scene(self, state: Mapping[str, VALUES]) -> Path:
@@ -129,10 +141,11 @@ class Saving:
         yield from ["", "[[term]]", 'name = "stray light"', 'kind = "path_power"', 'goal = "minimise"',
                     'selection = "stray"']  # fmt: skip
         if field_deg is not None:
-            yield f"field_deg = [{field_deg:g}]"
+            yield f"field_deg = [{field_deg!r}]"
         if "wavelength" in state:
-            yield f"wavelength_nm = [{float(state['wavelength']):g}]"
+            yield f"wavelength_nm = [{float(state['wavelength'])!r}]"
         yield "rays = 5000"
+        yield from (f"{name} = {json.dumps(one)}" for name, one in self._settings.items() if name not in OF_OPTIMIZER)
         factor = float(state.get("layers", 100.0)) / 100
         low, high = THICKNESS
         number = 0

@@ -112,6 +112,8 @@ class Traced:
         Stray power on cells of the detector.
     remedy : Remedy or None
         Surface that takes part in most of the stray light, detectors aside; None if there is none.
+    polarized : bool
+        Whether the trace carries Stokes vectors, which estimates do not follow.
     slopes : dict
         Name of a control → d(stray power)/d(value) over the stray power, where it is known. It is not a number for a
         rim that the beam just fills: there the derivatives on its two sides differ.
@@ -127,6 +129,7 @@ class Traced:
     sample: Sample
     maps: Maps
     remedy: Remedy | None
+    polarized: bool
     slopes: dict[str, Estimate] = of_field(default_factory=dict)
     factors: dict[int, Floats] = of_field(default_factory=dict)
 
@@ -178,6 +181,7 @@ def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
         sample=_sample(t, ways),
         maps=_maps(t, ways),
         remedy=remedy(GhostReport(None, {field: t}, t, {})),
+        polarized=t.settings["polarization"] == "stokes",
     )
 
 

@@ -282,7 +282,8 @@ class GhostReport(
         """
         column = rank_column(self.rank if rank is None else rank)
         table = self._ranked(field_deg, column)
-        stray = self._once(("stray", field_deg, column), lambda: table[table.kind != DIRECT].sort_values(column))
+        key = ("stray", field_deg, column, len(table.columns))  # a rank by peak adds columns
+        stray = self._once(key, lambda: table[table.kind != DIRECT].sort_values(column))
         return stray.head(count)
 
     def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:

@@ -44,11 +44,11 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
     MistrayError
         If the PST was computed without paths, or no cell contains the field angle.
     """
-    azimuths = pst.grid.azimuths_deg
+    azimuths, field_deg = pst.grid.azimuths_deg, abs(field_deg)  # each azimuth is that of a cell
     parts = [pst.paths(field_deg, azimuth) for azimuth in azimuths]
     rows = parts[0]
     if len(azimuths) > 1:
-        i, _ = pst.grid.nearest(abs(field_deg), azimuths[0])
+        i, _ = pst.grid.nearest(field_deg, azimuths[0])
         rows = _summed(pd.concat(parts, ignore_index=True), "events", rows.columns)
         rows["pst"] /= len(azimuths)
         rows["pst_se"] /= len(azimuths)
@@ -109,8 +109,8 @@ def first_level_scatter(pst: Pst) -> pd.DataFrame:
     """
     Return the PST of paths with one scatter event and no ghost or structure reflection, by field angle and surface.
 
-    Columns angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level, percent_of_stray; at each angle the
-    surface that scatters most comes first. Errors of the paths of a surface are added in quadrature.
+    Columns are angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level and percent_of_stray. At each angle
+    the surface that scatters most comes first. Errors of the paths of a surface are added in quadrature.
     """
     columns = ["angle_deg", "surface", "paths", "rays", "pst", "pst_se", "percent_of_first_level", "percent_of_stray"]
     parts = []

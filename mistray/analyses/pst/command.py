@@ -121,11 +121,12 @@ def _check(options: Options, request: PstRequest) -> None:
 
 
 def _so_far(passes: list[PstProgress]) -> str:
-    if not passes or not passes[-1].rays_done:
+    # Only the first measurement is saved; those with one more event have fewer rays
+    most = max(passes, key=lambda now: now.rays_done, default=None)
+    if most is None or not most.rays_done:
         return "the saved run is still"
-    worst = passes[-1].worst_error
-    reached = f", worst error {percent_text(worst)}," if math.isfinite(worst) else ""
-    return f"{passes[-1].rays_done:.3g} start rays{reached} are"
+    reached = f", worst error {percent_text(most.worst_error)}," if math.isfinite(most.worst_error) else ""
+    return f"{most.rays_done:.3g} start rays{reached} are"
 
 
 @contextlib.contextmanager

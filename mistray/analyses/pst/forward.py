@@ -25,7 +25,6 @@ from mistray.messages import Message
 from mistray.percent import percent_text
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance
-from mistray.sampling.sources import spectrum_of
 from mistray.scene.check import require_scene
 from mistray.settings import BATCHES, Settings
 from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, time_is_up
@@ -140,10 +139,7 @@ class CellRounds:
         points: np.ndarray | None,
     ) -> None:
         counts = cells_up_to(grid, request.error_up_to_deg).ravel() & (request.relative_error is not None)
-        # Wavelengths without weight need no rays
         light = Light(**request.light)
-        wavelengths, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
-        light = replace(light, wavelength_nm=wavelengths[shares > 0].tolist(), weights=shares[shares > 0].tolist())
         self.trace = WaveTrace(
             scene, grid, settings, light, int(request.map_pixels), request.paths, entrance=entrance, points=points
         )

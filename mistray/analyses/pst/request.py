@@ -119,11 +119,14 @@ class FirstLevelRequest(PstRequest):
         "sets: name → limits of a trace that it changes; without it `LIMITS`. A limit that is given beside it holds "
         "where a set does not change it",
     )
+    next_order: bool = field(FLAG, False, "refused: it would change the limits of the sets")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.limits == {}:
             raise MistrayError("limits is empty; give at least one set of limits")
+        if self.next_order:
+            raise MistrayError("next_order would change the limits of the sets; give another set of limits instead")
 
 
 @dataclass(frozen=True)

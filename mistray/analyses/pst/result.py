@@ -77,8 +77,8 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         Fraction, 0 … 1, of the scattered light of a cell that its strongest single ray carries; if it is large, so are
         the errors of the errors.
     path_rows : DataFrame, optional
-        Paths by cell: columns cell (index of the field angle), azimuth_cell, events, path, order, kind, ghost_1,
-        ghost_2, scatter_1, scatters, structure_bounces, tir, rays, pst_normal, pst_normal_se.
+        Paths by cell: columns cell (index of the field angle), azimuth_cell, those of
+        `mistray.recorders.path_events.describe_events`, rays, pst_normal and pst_normal_se, dimensionless.
     maps : (2, n, m, h, w) float64, optional
         PST_normal of each pixel of the detector, h rows by w columns, and its standard error, dimensionless.
     extent_mm : tuple of four float
@@ -388,8 +388,8 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         """
         Return the PST as a DataFrame, one row for each cell of field angle and azimuth.
 
-        Columns angle_deg, angle_from_deg, angle_to_deg, azimuth_deg, convention, method; for total, stray and each
-        class of light the PST and its standard error (``…_se``).
+        Columns are angle_deg, angle_from_deg, angle_to_deg, azimuth_deg, convention, method, and for total, stray and
+        each class of light the PST and its standard error (``…_se``).
         """
         import pandas as pd
 

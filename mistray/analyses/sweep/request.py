@@ -61,9 +61,12 @@ class EditsRequest(PstRequest):
     )
     _: KW_ONLY
     relative_error: float | None = field(RELATIVE_ERROR, None, "refused: it would give the runs different rays")
+    next_order: bool = field(FLAG, False, "refused: it would give the runs different limits")
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.next_order:
+            raise MistrayError("next_order would give the runs different limits; give these instead")
         if self.relative_error is not None:
             raise MistrayError("relative_error would give the runs different rays; give rays instead")
 

@@ -172,6 +172,12 @@ def scene_size(surfaces: Sequence[OpenSurface]) -> float:
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
+def _field(trace: Trace) -> str:
+    """Return the field angle of a trace as text, with its azimuth unless that is 0."""
+    azimuth = trace.settings["azimuth_deg"]
+    return f"{trace.settings['field_deg']:g}°" + (f" at azimuth {azimuth:g}°" if azimuth else "")
+
+
 def _note(traces: Sequence[Trace], rows: Sequence[Sequence[PathRow]], chosen: ViewRequest, cut: CutPlane | None) -> str:
     parts = ["mm, equal axes"]
     if cut is None:
@@ -181,12 +187,9 @@ def _note(traces: Sequence[Trace], rows: Sequence[Sequence[PathRow]], chosen: Vi
         if cut.offset_mm:
             parts.append(f"beyond {cut.offset_mm:g} mm")
     if traces:
-        settings = traces[0].settings
-        wavelengths = ", ".join(f"{value:g}" for value in traces[0].wavelengths_nm)
-        azimuth = settings["azimuth_deg"]
-        at = f" at azimuth {azimuth:g}°" if azimuth else ""
-        fields = ", ".join(f"{one.settings['field_deg']:g}°" for one in traces)
-        parts.append(f"field {fields}{at}, {wavelengths} nm, {thousands(settings['rays'])} start rays")
+        wavelengths = ", ".join(f"{nm:g}" for nm in sorted({nm for one in traces for nm in one.wavelengths_nm}))
+        rays = ", ".join(dict.fromkeys(thousands(one.settings["rays"]) for one in traces))
+        parts.append(f"field {', '.join(map(_field, traces))}, {wavelengths} nm, {rays} start rays")
         if chosen.classes is None:
             count = "; ".join(
                 f"{len(own)} of {len(one.paths)} paths drawn, {sum(row.percent for row in own):.4g} % of the light"

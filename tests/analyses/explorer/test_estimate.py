@@ -162,6 +162,7 @@ def test_scatter_models_are_followed_ray_by_ray():
         before = explorer.view()
         estimate = explorer.move({name: factor * float(explorer.state[name])})
         assert estimate["stray_W"][0] != pytest.approx(before["stray_W"][0], rel=1e-3)
+        assert any("specular beams" in text for text in estimate["left_out"])
         traced = explorer.settle()
         assert estimate["stray_W"][0] == pytest.approx(traced["stray_W"][0], rel=0.06), name
 
@@ -204,6 +205,9 @@ def test_what_cannot_be_done_ahead_is_said_once():
     assert explorer.view()["message"]
     view = explorer.move({"L1_front.curvature": float(explorer.controls["L1_front.curvature"].high)})
     assert any("no derivative" in text for text in view["left_out"])
+    assert any("unpolarised" in text for text in explorer.move({"layers": 90.0})["left_out"])
+    explorer.settle()
+    assert set(explorer._grid) == {0.0}  # the other field was traced with another shape
     camera = Explorer("phone_camera", field_deg=[0.0], rays=200)  # whose rims that meet move together
     (control,) = [one for one in camera.controls.values() if one.name.endswith(" radius")]
     assert set(control.keys) == {"stop_front.r1", "stop_wall.r0", "stop_wall.r1", "stop_rear.r0"}

@@ -299,5 +299,6 @@ def test_the_study_runs_on_both_scenes(saving, capsys):
     saving.move({"coating window": "bbar3", "layers": 105.0, "detector.bsdf.R": 0.15})
     scene, study = saving.save_scene(), saving.save_study()
     assert {"detector.bsdf.R", "window_front"} <= set(study.read_text().replace('"', " ").split())
+    assert "max_reflections = 2" in study.read_text().splitlines()  # of the explorer
     for path in (scene, saving.path):
         succeeds(capsys, "optimize", path, study, "--steps", 1, "--verification-seeds", 2, "--quiet")

@@ -292,6 +292,8 @@ class TestPstBands:
         gradients = seen.table_gradients(np.ones((5, 1, 2)), request, np.zeros((1, 2), dtype=int))
         each_refused(
             (lambda: PstBands(scene, KEYS, (4, 6.5, 9)), "multiples of cell_deg"),
+            (lambda: PstBands(scene, KEYS, (-9, -6, -4)), "edges_deg is -9; it must lie between 0 and 90"),
+            (lambda: PstBands(scene, KEYS, (4, 6), convention="projected"), "convention is not a setting"),
             (lambda: PstBands(scene, ("polish.rms",), (4, 6)), r"polish\.rms_nm"),
             (lambda: next(gradients), "edges=False"),
         )

@@ -184,6 +184,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     printed = run(capsys, *words[:-1])[1]
     assert "uncategorised" in printed
     assert "lens:T" in printed
+    assert "λ" in printed.partition("Paths under other names")[2].partition("Path analysis")[0]  # each has rows
     for wrong, named in ((["--alias", "part", "a=b"], "part"), (["--least-share", "0.1"], "--path-analysis")):
         assert named in fails(capsys, *words[:6], *wrong)
 

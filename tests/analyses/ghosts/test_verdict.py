@@ -330,6 +330,7 @@ def test_each_rank_has_its_order(rank):
         assert tuple(events[:count]) == fake.ORDERS[rank][:count]
         assert events.count(fake.WIDE) == min(count, 1)
         assert len(events) <= count + 1
+    assert report.listed(0.0, 1, "peak").peak_W_mm2.notna().all()  # lists by power from before know no peaks
 
 
 def test_a_peak_is_the_brightest_pixel_of_all_wavelengths():

@@ -138,9 +138,12 @@ class TestClosedForms:
         sheet = placed_xml("asphere", "filter", interface_xml(table=str(table)), semi_diameter=3.0)
         detector = placed_xml("asphere", "detector", at=(0.0, 0.0, 0.5), pixels=4, semi_diameter=1.0)
         scene, grid = load_scene(scatter_scene(sheet, detector)), DirectionGrid.of([0.0, 40.0])
-        found = forward_pst(scene, grid, wavelength_nm=[500.0, 600.0, 550.0], weights=[3.0, 1.0, 0.0], rays=100_000)
+        light = {"wavelength_nm": [500.0, 600.0, 550.0], "weights": [3.0, 1.0, 0.0]}
+        found = forward_pst(scene, grid, **light, rays=100_000)
         assert_z("PST_normal", found.value, 0.65 * grid.mean_cosine, found.standard_error)
-        assert (found.facts["wavelength_nm"], found.facts["weights"]) == ([500.0, 600.0], [0.75, 0.25])
+        joined = mistray.pst(scene, grid.field_deg, **light, rays=2000).facts
+        for facts in (found.facts, joined):
+            assert (facts["wavelength_nm"], facts["weights"]) == ([500.0, 600.0], [0.75, 0.25])
         assert found.weight.sum(axis=-1) == pytest.approx(1.0)
         # A Lambertian sheet over a disc: once scattered light ρ cos θ F, aimed and random rays in one path
         rho, a, b, gap = 0.4, 3.0, 1.0, 1.5

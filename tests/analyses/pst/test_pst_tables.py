@@ -305,6 +305,8 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
     np.testing.assert_allclose(merged.pst_se[name], np.linalg.norm([part.pst_se[name] for part in each]) / 4)
     assert merged.rays[name] == sum(part.rays[name] for part in each)
     assert merged.percent_of_stray.sum() == pytest.approx(100)
+    opposite = fake_pst(field_deg=(-40, -20), azimuths_deg=(0,))  # whose cells are at an azimuth of 180°
+    assert stray_paths(opposite, -40.0).equals(stray_paths(opposite, 40.0))
 
 
 def test_text_with_the_numbers_and_their_errors(pst: Pst) -> None:

@@ -195,6 +195,7 @@ class TestErrors:
         assert (ratio.value, ratio.se) == (pytest.approx([1, 0.5]), pytest.approx([0, 0], abs=1e-12))
         other = rejection_ratio(pst, reference=Estimate(pst.value[0], 0.1))
         assert other.se[1] > 0.05
+        assert other.facts["reference_deg"] is None
 
 
 class TestCurves:
@@ -308,6 +309,7 @@ class TestVeilingGlare:
         black = np.where(self.angles > self.patch, pst.grid.solid_angle, 0)
         error = np.linalg.norm(black - glare.value / 100 * pst.grid.solid_angle) * 0.1 * self.g
         assert glare.se == pytest.approx(100 * error / (self.d * solid(0, 0.5) + self.g * solid(0, 90)), rel=1e-6)
+        assert veiling_glare_index(pst, self.patch, at_mm=(1.0, 1.0)).value == glare.value  # the corner of that pixel
         dark = veiling_glare_index(pst, self.patch, at_mm=(-0.5, 0.5))
         assert dark.value == pytest.approx(100 * solid(self.patch, 90) / solid(0, 90), rel=1e-9)
         # The spread of glare: direct flux on axis 0.5 · 4 mm² per W/mm²
@@ -364,6 +366,8 @@ def test_bad_input() -> None:
         (lambda: veiling_glare_index(pst, 1, place="map"), "map_pixels"),
         (lambda: veiling_glare_index(pst, 1, 3, place="point"), "azimuths_deg"),
         (lambda: veiling_glare_index(bright, 1, at_mm=(3.0, 0.0)), "-1 to 1"),
+        (lambda: veiling_glare_index(bright, 1, at_mm=(0.0, 0.0), place="point"), "at_mm is a pixel of place 'map'"),
+        (lambda: veiling_glare_index(pst, 1, at_mm=(0.0, 0.0)), "map_pixels"),
         (lambda: glare_spread(pst), "map_pixels"),
     )
 
@@ -579,6 +583,7 @@ def test_wrong_arguments(scene) -> None:
         (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean 'rays'"),
         (lambda: pst_bin(scene, 20, method="forward"), "method of a PST metric is 'forward'; use 'joined'"),
         (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is not a setting of a PST metric"),
+        (lambda: pst_bin(scene, 20, next_order=True), "next_order is not a setting of a PST metric"),
         (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
         (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between -90 and 90"),
         (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),
@@ -590,4 +595,6 @@ def test_wrong_arguments(scene) -> None:
         (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),
         (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; choose from mean"),
         (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
+        (lambda: veiling_glare(scene, 5.0, source_deg=0), "band from 0 to 0°; field angles must ascend"),
+        (lambda: veiling_glare(scene, 5.0, source_deg=np.nan), "band from 0 to nan°; field angles must ascend"),
     )

@@ -400,6 +400,8 @@ def test_wrong_edits_are_refused(scene: Path, capsys: pytest.CaptureFixture[str]
     )
     with refused("relative_error would give the runs different rays"):
         swept(scene, sweeps.Configuration("x"), relative_error=0.1)
+    with refused("next_order would give the runs different limits"):
+        swept(scene, sweeps.Configuration("x"), next_order=True)
     with refused("this name is that of the scene without changes"):
         swept(scene, sweeps.Configuration("as it is"))
     with refused("no configuration 'y'"):

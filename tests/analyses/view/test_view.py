@@ -52,7 +52,7 @@ def of(figure, key):
     return {drawn.meta[key]: drawn for drawn in figure.data if key in (drawn.meta or {})}
 
 
-def test_surfaces_are_meshes_and_legend_rows_those_of_the_path_table(shown, trace):
+def test_surfaces_are_meshes_and_legend_rows_those_of_the_path_table(scene, shown, trace):
     meshes = of(shown.figure, "surface")
     assert set(meshes) == set(FORMULAS)
     for name, mesh in meshes.items():
@@ -81,6 +81,9 @@ def test_surfaces_are_meshes_and_legend_rows_those_of_the_path_table(shown, trac
     assert "incident 4.000 ± 0.010 W, 1 000 hits<br>absorbed 0.1000 ± 0.0010 W<br>" in text
     ray = of(shown.figure, "path_id")[0].text
     assert ray[1].startswith("window_front:T, ")
+    beside = RayTrace(paths_at(10.0), 10.0)
+    beside.settings = {**trace.settings, "azimuth_deg": 90.0, "rays": 7}
+    assert "field 10°, 10° at azimuth 90°, 550 nm, 1 000, 7 start rays" in view(scene, [trace, beside], rays=1).note
 
 
 def test_colours_follow_the_flux(scene, trace):

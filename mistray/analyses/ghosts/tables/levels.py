@@ -19,7 +19,7 @@ SURFACES_SHOWN = 8
 MOST_LEVELS = 6  # that have a column each
 PATHS_SHOWN = 8
 FILTERED = ("path_id", "kind", "label", "wavelength_nm", "rays", "power_W")
-ALIASED = ("events", "kind", "rays", "power_W")
+ALIASED = ("events", "kind", "wavelength_nm", "rays", "power_W")
 NOT_IN_TEXT = ("wavelength", "share", "events")  # of a path analysis
 TITLES = {
     "scatter": "Stray light by the number of scatter events and by critical surface",
@@ -99,7 +99,7 @@ def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
         counts = Table(columns("paths"), [[len(path_ids)] for path_ids in found.path_ids])
         left = found.iloc[PATHS_SHOWN:]
         count, power = sum(map(len, left.path_ids)), report.power_of(field, left)
-        rest: list[Value] = [count, f"… and {len(left)} more", "", "", power]
+        rest: list[Value] = [count, f"… and {len(left)} more", "", "", "", power]
         shown = counts.beside(table(PathColumns, found, only=ALIASED))
         return replace(shown, most=PATHS_SHOWN, rest=rest)
 

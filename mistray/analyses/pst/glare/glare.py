@@ -55,7 +55,8 @@ def veiling_glare_index(
         that it lies within the image of the patch. "mean": the mean over the detector stands for the point; E_black is
         then of stray light alone, because direct light from beside the patch does not fall on its image.
     at_mm : (float, float), optional
-        Pixel for "map", mm in the detector's frame; by default the brightest for light from the middle of the patch.
+        Pixel for "map" alone, mm in the detector's frame; by default the brightest for light from the middle of the
+        patch.
     interpolation : {"cells", "linear", "log"}
         See `mistray.analyses.pst.glare.extended_source.cover`.
 
@@ -69,11 +70,13 @@ def veiling_glare_index(
     ------
     MistrayError
         If the place is unknown, the patch is not within the source, no cell contains any of it, the PST has no maps for
-        "map", or `at_mm` is off the detector. Also if the patch is off the axis while one cell covers all azimuths,
-        except for "mean", if no light from its middle meets the detector, which would tell the pixel, or if a cell of
-        the source was not traced.
+        "map", or `at_mm` is off the detector or for another place. Also if the patch is off the axis while one cell
+        covers all azimuths, except for "mean", if no light from its middle meets the detector, which would tell the
+        pixel, or if a cell of the source was not traced.
     """
-    place = place or ("mean" if pst.maps is None else "map")
+    place = place or ("mean" if pst.maps is None and at_mm is None else "map")
+    if at_mm is not None and place != "map":
+        raise MistrayError(f"at_mm is a pixel of place 'map', and place is '{place}'; leave one of them out")
     if place == "map" and pst.maps is None:
         raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, or use place='mean'")
     normal = pst.to("normal")
@@ -136,8 +139,8 @@ def glare_cells(
     Raises
     ------
     MistrayError
-        If the place is unknown, the patch is not within the source, or it is off the axis while one cell covers all
-        azimuths.
+        If the place is unknown, the patch is not within the source, no cell contains any of it, or it is off the axis
+        while one cell covers all azimuths.
     """
     if place not in PLACES:
         raise MistrayError(f"place is '{place}'; use 'map', 'point' or 'mean'")
@@ -194,15 +197,15 @@ def _at_pixel(
             )
         row, column = divmod(int(np.argmax(image)), width)
     else:
-        column, row = (
-            int(np.floor((at - low) / (high - low) * count))
-            for at, low, high, count in ((at_mm[0], x0, x1, width), (at_mm[1], y0, y1, height))
-        )
-        if not (0 <= column < width and 0 <= row < height):
+        if not (x0 <= at_mm[0] <= x1 and y0 <= at_mm[1] <= y1):
             raise MistrayError(
                 f"at_mm is ({at_mm[0]:g}, {at_mm[1]:g}); the detector reaches from x {x0:g} to {x1:g} and y {y0:g} to "
                 f"{y1:g} mm"
             )
+        column, row = (
+            min(int((at - low) / (high - low) * count), count - 1)
+            for at, low, high, count in ((at_mm[0], x0, x1, width), (at_mm[1], y0, y1, height))
+        )
     value, se = pst.maps[:, :, :, row, column]
     where = {
         "x_mm": float(x0 + (column + 0.5) * (x1 - x0) / width),

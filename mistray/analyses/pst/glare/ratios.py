@@ -58,7 +58,8 @@ def rejection_ratio(
             f"no light of the classes {_named(classes)} comes from the reference angle {reference_deg:g}°; give "
             "another reference_deg, or reference"
         )
-    facts = {"light": _named(classes), "reference_deg": reference_deg, "convention": pst.convention}
+    at = reference_deg if reference is None else None
+    facts = {"light": _named(classes), "reference_deg": at, "convention": pst.convention}
     return _curve(pst, "psrr", ratios, facts=facts)
 
 

@@ -17,7 +17,7 @@ from mistray.gradients.parameter_gradient import parameter_gradient
 from mistray.metrics.gradient import chosen_parameters, gradient_request
 from mistray.metrics.parameters import Parameter
 from mistray.metrics.scene_values import assign
-from mistray.ranges import AZIMUTH_DEG, FINITE, PST_FIELD_DEG, Each
+from mistray.ranges import AZIMUTH_DEG, FINITE, POLAR_DEG, Each
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
@@ -80,7 +80,7 @@ class PstBands:
     keys : str or sequence of str
         Parameters of one entry, such as ``"polish.rms_nm"``; see `mistray.metrics.parameters`.
     edges_deg : sequence of float
-        Ends of the bands, degrees, ascending, multiples of `cell_deg` apart.
+        Ends of the bands, 0 … 90 degrees, ascending, multiples of `cell_deg` apart.
     light : str or sequence of str
         Classes of light, see `PstObservation`.
     azimuths_deg : float or sequence of float, optional
@@ -107,7 +107,7 @@ class PstBands:
     Raises
     ------
     MistrayError
-        If a key has no derivative or several entries, or the edges do not fit.
+        If a key has no derivative or several entries, the edges do not fit, or an argument would have no effect here.
 
     Examples
     --------
@@ -130,7 +130,7 @@ class PstBands:
         cell_deg: float = 1.0,
         **traced: Any,
     ) -> None:
-        edges = np.array(PST_FIELD_DEG.check_each("edges_deg", edges_deg))
+        edges = np.array(POLAR_DEG.check_each("edges_deg", edges_deg))
         counts = np.diff(edges) / cell_deg
         uneven = np.any(counts < 0.5) or np.any(np.abs(counts - np.round(counts)) > 1e-6)
         if edges.size < 2 or uneven:

@@ -149,8 +149,6 @@ def pst_band(
     """
     QUANTITY.check("quantity", quantity)
     CONVENTION.check("convention", convention)
-    if not 0 <= low_deg < high_deg <= LARGEST_DEG:
-        raise MistrayError(f"band from {low_deg:g} to {high_deg:g}°; field angles must ascend within 0 … 90 degrees")
     return _metric(
         scene,
         lambda o: o.band(low_deg, high_deg, light, quantity, convention, interpolation),
@@ -271,8 +269,10 @@ def _filled(low_deg: float, high_deg: float, traced: dict[str, Any]) -> dict[str
     Raises
     ------
     MistrayError
-        If a width of cells is given without angles.
+        If the band is empty or not within 0 … 90 degrees, or a width of cells is given without angles.
     """
+    if not 0 <= low_deg < high_deg <= LARGEST_DEG:
+        raise MistrayError(f"band from {low_deg:g} to {high_deg:g}°; field angles must ascend within 0 … 90 degrees")
     if PST_FIELD in traced:
         return traced
     if "cell_deg" in traced:

@@ -13,6 +13,11 @@ from mistray.errors import MistrayError
 from mistray.metrics.views import TraceView, sorted_arguments
 
 METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
+# Arguments of `mistray.pst` that a metric refuses: it is computed from PST_normal, of `rays` rays, each time anew
+NO_ARGUMENTS = (
+    "relative_error", "error_up_to_deg", "state", "resume", "seconds", "map_pixels", "paths", "next_order",
+    "convention",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -32,9 +37,9 @@ class PstView(TraceView):
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("relative_error", "error_up_to_deg", "state", "resume", "map_pixels", "paths"):
+        for name in NO_ARGUMENTS:
             if name in self.arguments:
-                raise MistrayError(f"{name} is not a setting of a PST metric: it traces `rays` rays, each time anew")
+                raise MistrayError(f"{name} is not a setting of a PST metric, which traces `rays` rays; leave it out")
         method = self.arguments.get("method", METHODS[0])
         if method not in METHODS:
             raise MistrayError(f"method of a PST metric is '{method}'; use {' or '.join(map(repr, METHODS))}")
