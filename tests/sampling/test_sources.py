@@ -135,6 +135,15 @@ def test_errors_hold_over_seeds() -> None:
         assert_z(f"spread of {name}", float(np.mean(np.square(z))), 31 / 29, np.sqrt(3 / 40), false_alarm=2.5e-4)
 
 
+@pytest.mark.long
+def test_few_rays_of_a_sky() -> None:
+    """Batches of one ray have no room for strata: the mean of 20 runs; false alarm 1e-4."""
+    lamp, exact = CASES["part of the sky"]
+    here = lit(lamp, tube=TUBE | {"r0": 20.0, "r1": 20.0, "z0": 0.0, "z1": 50.0})
+    seen = np.array([mistray.trace(here, rays=40, seed=k, ledger=False).energy.detected_W for k in range(20)])
+    assert_z("sky", seen.mean(), exact, seen.std(ddof=1) / np.sqrt(20), false_alarm=1e-4)
+
+
 def test_a_sky_is_aimed_at_the_front_of_a_short_scene() -> None:
     """A cone of sky on a detector whose sphere stands out of that of the scene: π L sin² ρ A; false alarms 1.6e-4."""
     stop = {"type": "frustum", "r0": 0.0, "z0": 30.0, "r1": RADIUS, "z1": 30.0, "bsdf": BLACK}
