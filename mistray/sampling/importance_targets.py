@@ -114,6 +114,8 @@ def _table_facts(table: SurfaceTable) -> str:
         table.optics.host_indices.tobytes(),
         table.optics.host_words.tobytes(),
         table.optics.host_scattering.tobytes(),
+        np.array(table.optics.extinction).tobytes(),
+        *(hashlib.sha256(numbers.tobytes()).digest() for numbers in table.mitsuba_numbers),
     ]
     return hashlib.sha256(repr(facts).encode()).hexdigest()
 

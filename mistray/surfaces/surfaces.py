@@ -22,6 +22,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray._mitsuba_compat import peek
 from mistray.cache.remembered import remembered
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion
@@ -371,6 +372,19 @@ class SurfaceTable:
         self.mitsuba_offset = opaque(mi.Vector3f, self.centre)
         free_space = FreeSpace(self) if self.pieces else None
         self.free_space = free_space if free_space is not None and free_space.some else None
+
+    @property
+    def mitsuba_numbers(self) -> list[np.ndarray]:
+        """Frames and vertices of all Mitsuba shapes that are not analytic; none if there are no such shapes."""
+        found = []
+        for shape in self.shapes[len(self.pieces) :]:
+            params = mi.traverse(shape)
+            for key in (key for key in params.keys() if "." not in key):  # noqa: SIM118  it iterates over pairs
+                value = peek(params, key)
+                value = value.matrix if isinstance(value, mi.Transform4f) else value
+                if dr.is_array_v(value):
+                    found.append(np.array(dr.detach(value)))
+        return found
 
     def mitsuba_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """
