@@ -309,7 +309,7 @@ class DetectorStart:
         left = dr.full(mi.UInt32, self._table.detector, dr.width(lane))
         medium = dr.select(back, self._media[1], self._media[0])
         pixel = self.pixel(x, y, *pixels)
-        return StartRays(lane, batch, rng, p, d, w, left=left, normal=normal, pixel=pixel, medium=medium)
+        return StartRays(lane, batch, rng, p, d, w, left=left, normal=normal, pixel=pixel, medium=medium, scale=w)
 
     def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """

@@ -66,6 +66,18 @@ def test_ghosts_by_two_roulettes(load_scene) -> None:
     assert se < 0.1 * cut
 
 
+@pytest.mark.long
+def test_the_threshold_is_relative_to_the_start(load_scene) -> None:
+    """Rays aimed out of a deep tube start with some thousandths of the mean weight; ghosts of 1e-6 are no cut ones."""
+    sides, shares = (("front", 0.0, "air", "1.5"), ("rear", 2.0, "1.5", "air")), {"R": 1e-3, "T": 0.999}
+    plate = [shape_xml("asphere", name, z, interface_xml(*n, **shares), semi_diameter=5.0) for name, z, *n in sides]
+    tube = shape_xml("frustum", "tube", 0.0, r0=5.0, z0=0.0, r1=5.0, z1=200.0)
+    scene = load_scene(scene_text(*plate, tube, shape_xml("asphere", "d", 200.0, sensor=True, semi_diameter=5.0)))
+    found = [traced(scene, flux_threshold=threshold).sums.cells[GHOST] for threshold in (1e-8, 0.0)]
+    assert found[0].any()
+    np.testing.assert_array_equal(*found)
+
+
 class TestSee:
     @pytest.mark.parametrize("name", ["plate_and_wall", "newtonian_scatter", "cooke_triplet"])
     def test_all_is_somewhere(self, name: str) -> None:
