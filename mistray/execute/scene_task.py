@@ -90,8 +90,7 @@ def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:
             digest.update(values.tobytes())
         # Mitsuba's own shapes are not in these arrays, nor is the index of a medium that walls alone declare
         digest.update(repr([str(shape) for shape in table.shapes[len(table.pieces) :]]).encode())
-        for values in (*table.mitsuba_numbers, table.optics.host_media_n):
-            digest.update(values.tobytes())
+        digest.update(table.mitsuba_hash + table.optics.host_media_n.tobytes())
     return digest.hexdigest()
 
 

@@ -116,7 +116,7 @@ def _table_facts(table: SurfaceTable) -> str:
         table.optics.host_words.tobytes(),
         table.optics.host_scattering.tobytes(),
         np.array(table.optics.extinction).tobytes(),
-        *(hashlib.sha256(numbers.tobytes()).digest() for numbers in table.mitsuba_numbers),
+        table.mitsuba_hash,
     ]
     return hashlib.sha256(repr(facts).encode()).hexdigest()
 
