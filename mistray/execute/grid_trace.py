@@ -9,6 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.errors import MistrayError
 from mistray.execute.scene_task import fingerprint, kernel_arrays
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.scattering import Scattering
@@ -80,6 +81,11 @@ class GridTrace:
     paths : bool
         Whether a table of the paths is kept.
 
+    Raises
+    ------
+    MistrayError
+        If `cut_below_W` is set, since start rays have no watts of a source.
+
     Attributes
     ----------
     bands : list of Band
@@ -110,6 +116,8 @@ class GridTrace:
         map_pixels: int = 0,
         paths: bool = False,
     ) -> None:
+        if any(settings.cut_below_W):
+            raise MistrayError("cut_below_W is in watts of a source, and this trace starts from none; use cut_below")
         self.grid, self.settings, self.lists_paths = grid, settings, paths
         self._scene = scene
         # Surfaces at each wavelength, and the paths of the direct image
