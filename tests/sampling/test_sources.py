@@ -97,9 +97,13 @@ def test_closed_forms(name: str, tube: bool) -> None:
     assert abs(t.energy.closure) < 1e-6
 
 
-def test_an_area_emitter_has_no_object_plane() -> None:
+def test_stock_area_emitters() -> None:
     with refused("its area emitter has no object plane"):
         mistray.trace(lit(CASES["stock area"][0]), rays=10, field_mm=1.0)
+    # The flux is that of the surface, not of its mesh: of π L A with A = 2π R h
+    cap = {"type": "asphere", "curvature": 0.1, "semi_diameter": 8.0, "bsdf": BLACK, "emitter": {"type": "area"}}
+    (source,) = scene_sources(lit(cap))
+    assert source.power == pytest.approx(np.pi * 80 * np.pi, rel=1e-6)
 
 
 def test_squares() -> None:
