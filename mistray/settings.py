@@ -292,10 +292,13 @@ class Settings:
         """
         Return the settings with `cut_below_W` in units of a start ray's flux, which is `unit_W` watts on average.
 
-        Entries are at most 1e30. Settings without `cut_below_W` are returned unchanged.
+        Entries are at most 1e30; of rays without flux nothing is cut. Settings without `cut_below_W` are returned
+        unchanged.
         """
         if not any(self.cut_below_W):
             return self
+        if not unit_W > 0:
+            return replace(self, cut_below_W=NOTHING_CUT)
         return replace(self, cut_below_W=tuple(min(float(one) / float(unit_W), LARGEST) for one in self.cut_below_W))
 
     @property

@@ -75,7 +75,8 @@ class GridTrace:
     settings : Settings
         Settings of the trace.
     light : Light
-        Wavelengths, by default those of the first source, else 550 nm; their weights, and the detector.
+        Wavelengths, by default those of the first source, else 550 nm; their weights, and the detector. Wavelengths of
+        weight 0 are not traced.
     map_pixels : int
         Longer side of the maps of the detector; 0: none.
     paths : bool
@@ -121,8 +122,10 @@ class GridTrace:
         self.grid, self.settings, self.lists_paths = grid, settings, paths
         self._scene = scene
         # Surfaces at each wavelength, and the paths of the direct image
-        wavelengths, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
-        self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
+        lines = [
+            line for line in zip(*spectrum_of(scene, light.wavelength_nm, light.weights), strict=True) if line[1] > 0
+        ]
+        self.wavelength_nm, self.weights = (tuple(map(float, part)) for part in zip(*lines, strict=True))
         self._tables = traced_tables(scene, self.wavelength_nm, light.detector, settings.stokes)
         self.table = self._tables[0]
         self.intersector = Intersector.of(self.table)

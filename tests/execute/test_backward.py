@@ -80,6 +80,15 @@ def test_the_threshold_is_relative_to_the_start(load_scene) -> None:
         np.testing.assert_array_equal(found, whole)
 
 
+@pytest.mark.long
+def test_a_wavelength_without_light(wall_scene) -> None:
+    dark = {"wavelength_nm": [550.0, 600.0], "weights": [1, 0]}
+    assert mistray.pst(wall_scene, [20.0], rays=1024, method="adjoint", **dark).facts["wavelength_nm"] == [550.0]
+    energy = mistray.trace(wall_scene, rays=100, cut_below_W="T=1e-9", ledger=False, **dark).energy
+    assert energy.launched_W > 0
+    assert abs(energy.closure) < 1e-5
+
+
 class TestSee:
     @pytest.mark.parametrize("name", ["plate_and_wall", "newtonian_scatter", "cooke_triplet"])
     def test_all_is_somewhere(self, name: str) -> None:
