@@ -290,14 +290,16 @@ class Settings:
 
     def with_unit(self, unit_W: float) -> Settings:
         """
-        Return the settings with `cut_below_W` merged into `cut_below`, for start rays of `unit_W` watts each.
+        Return the settings with `cut_below_W` in units of a start ray's flux, which is `unit_W` watts on average.
 
-        The larger of the two holds for each entry, at most 1e30. Settings without `cut_below_W` are returned unchanged.
+        Entries are at most 1e30; of rays without flux nothing is cut. Settings without `cut_below_W` are returned
+        unchanged.
         """
         if not any(self.cut_below_W):
             return self
-        relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))
-        return replace(self, cut_below=tuple(min(value, LARGEST) for value in relative), cut_below_W=NOTHING_CUT)
+        if not unit_W > 0:
+            return replace(self, cut_below_W=NOTHING_CUT)
+        return replace(self, cut_below_W=tuple(min(float(one) / float(unit_W), LARGEST) for one in self.cut_below_W))
 
     @property
     def scatter_limits(self) -> tuple[int, int, int]:

@@ -272,14 +272,16 @@ class AllCells:
         scene, settings = trace.forward_scene(band), trace.settings
         if not scatter:
             assert scene.competing is not None
-            # These rays start with 1/unscattered of the weight; the threshold is lowered alike, so that none ends early
+            # These rays start with 1/unscattered of the weight; thresholds are lowered alike, so that none ends early
             assert self.unscattered is not None
-            threshold = settings.flux_threshold / float(self.unscattered.max())
-            settings = replace(settings, max_scatters=0, flux_threshold=threshold)
+            most = float(self.unscattered.max())
+            below = tuple(one / most for one in settings.cut_below)
+            settings = replace(settings, max_scatters=0, flux_threshold=settings.flux_threshold / most, cut_below=below)
             # Nothing is split that does not scatter, nor counts as throughput that could
             scene = replace(scene, competing=replace(scene.competing, connects=False), windows=None)
 
-        # The threshold of unscattered light changes from round to round, but the time per ray, by which launches are
+        # The thresholds of unscattered light change from round to round, but the time per ray, by which launches are
         # sized, does not
-        kind = replace(settings, flux_threshold=trace.settings.flux_threshold)
+        usual = trace.settings
+        kind = replace(settings, flux_threshold=usual.flux_threshold, cut_below=usual.cut_below)
         self._launches[band] = trace_whole(scene, start, settings, [recorder], kind)

@@ -9,6 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.errors import MistrayError
 from mistray.execute.scene_task import fingerprint, kernel_arrays
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.scattering import Scattering
@@ -74,11 +75,17 @@ class GridTrace:
     settings : Settings
         Settings of the trace.
     light : Light
-        Wavelengths, by default those of the first source, else 550 nm; their weights, and the detector.
+        Wavelengths, by default those of the first source, else 550 nm; their weights, and the detector. Wavelengths of
+        weight 0 are not traced.
     map_pixels : int
         Longer side of the maps of the detector; 0: none.
     paths : bool
         Whether a table of the paths is kept.
+
+    Raises
+    ------
+    MistrayError
+        If `cut_below_W` is set, since start rays have no watts of a source.
 
     Attributes
     ----------
@@ -110,11 +117,15 @@ class GridTrace:
         map_pixels: int = 0,
         paths: bool = False,
     ) -> None:
+        if any(settings.cut_below_W):
+            raise MistrayError("cut_below_W is in watts of a source, and this trace starts from none; use cut_below")
         self.grid, self.settings, self.lists_paths = grid, settings, paths
         self._scene = scene
         # Surfaces at each wavelength, and the paths of the direct image
-        wavelengths, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
-        self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
+        lines = [
+            line for line in zip(*spectrum_of(scene, light.wavelength_nm, light.weights), strict=True) if line[1] > 0
+        ]
+        self.wavelength_nm, self.weights = (tuple(map(float, part)) for part in zip(*lines, strict=True))
         self._tables = traced_tables(scene, self.wavelength_nm, light.detector, settings.stokes)
         self.table = self._tables[0]
         self.intersector = Intersector.of(self.table)

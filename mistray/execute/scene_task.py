@@ -72,6 +72,7 @@ def kernel_arrays(table: SurfaceTable, scattering: Scattering | None = None) -> 
     bounds = [{"size": piece.size, **piece.kernel_values()} for piece in table.pieces]
     names = dict.fromkeys(name for row in bounds for name, value in row.items() if not isinstance(value, tuple))
     arrays = [optics.words, optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
+    arrays += [optics.asymmetry] if optics.scatters else []
     arrays += scattering.arrays if scattering is not None else ()
     # A row for each surface: its numbers are of different units and sizes
     rows = [np.array([[row.get(name, 0.0) for name in names] for row in bounds], dtype=np.float64)]
@@ -87,8 +88,9 @@ def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:
             digest.update(repr(table.ids).encode())
         for values in kernel_arrays(table, scattering):
             digest.update(values.tobytes())
-        # Mitsuba's own shapes are not in these arrays
+        # Mitsuba's own shapes are not in these arrays, nor is the index of a medium that walls alone declare
         digest.update(repr([str(shape) for shape in table.shapes[len(table.pieces) :]]).encode())
+        digest.update(table.mitsuba_hash + table.optics.host_media_n.tobytes())
     return digest.hexdigest()
 
 

@@ -27,7 +27,7 @@ class BranchLimits:
     Parameters
     ----------
     settings : Settings
-        Settings of the trace.
+        Settings of the trace, after `Settings.with_unit`.
     cut : callable
         Function that records cut flux, see `mistray.recorders.recorder.Recorder.cut`.
     batch : mi.UInt32
@@ -45,19 +45,24 @@ class BranchLimits:
                 (settings.max_consecutive, settings.limits_consecutive),
             )
         )
-        self._below = [dr.opaque(mi.Float, limit) for limit in settings.cut_below]
-        self._cuts_branches = any(settings.cut_below[:ABSORPTION])
-        self._cuts_absorption = settings.cut_below[ABSORPTION] > 0
+        given = [*zip(settings.cut_below, settings.cut_below_W, strict=True)]
+        self._below = [tuple(dr.opaque(mi.Float, limit) for limit in limits) for limits in given]
+        self._cuts_branches, self._cuts_absorption = any(map(any, given[:ABSORPTION])), any(given[ABSORPTION])
 
     def _cut(self, channel: int | mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
-    def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
+    def _least(self, branch: int, scale: mi.Float) -> mi.Float:
+        """Return the throughput below which branches of this index in `BRANCHES` end; `scale` is `StartRays.scale`."""
+        relative, absolute = self._below[branch]
+        return dr.maximum(relative * scale, absolute)
+
+    def absorb(self, absorbed: mi.Float, active: mi.Bool, scale: mi.Float) -> tuple[mi.Float, mi.Bool]:
         """
         Return the throughput absorbed at hits, in units of a start ray's flux, and a mask of hits to count.
 
         Absorption that `ray_control` forbids, or that is below its threshold, is recorded as cut. Then the throughput
-        is 0, and the hit does not count.
+        is 0, and the hit does not count. `scale` is `StartRays.scale`.
         """
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
@@ -65,7 +70,7 @@ class BranchLimits:
         if not self._cuts_absorption:
             return absorbed, mi.Bool(True)
         # A faint absorption is cut: it enters neither the surface nor the detector
-        faint = absorbed < self._below[ABSORPTION]
+        faint = absorbed < self._least(ABSORPTION, scale)
         self._cut(CUT_BRANCHES + ABSORPTION, absorbed, active & faint)
         return dr.select(faint, 0, absorbed), ~faint
 
@@ -115,6 +120,7 @@ class BranchLimits:
         reflect: mi.Bool,
         active: mi.Bool,
         contributes: mi.Bool,
+        scale: mi.Float,
     ) -> mi.Float:
         """
         Return the flux of each branch, in units of the start ray's, or 0 where a limit on single branches ends it.
@@ -128,6 +134,8 @@ class BranchLimits:
             incidence.
         active, contributes : mi.Bool
             Lanes that have a branch, and lanes whose flux enters the energy ledger.
+        scale : mi.Float
+            See `StartRays.scale`.
         """
         active = active & contributes
         # One side of scatter refused: known only when the direction is sampled
@@ -138,7 +146,7 @@ class BranchLimits:
         # Thresholds by kind of branch, in the order of `BRANCHES`
         if self._cuts_branches:
             scattered = scatter | by_medium
-            back, on, scattered_back, scattered_on = self._below[:ABSORPTION]
+            back, on, scattered_back, scattered_on = (self._least(branch, scale) for branch in range(ABSORPTION))
             limit = dr.select(
                 reflect, dr.select(scattered, scattered_back, back), dr.select(scattered, scattered_on, on)
             )

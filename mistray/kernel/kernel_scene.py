@@ -16,6 +16,7 @@ from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import ESCAPED, MEDIUM
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 
 GRAZING = 0.01  # smallest cosine by which the offset from a Mitsuba surface is divided
@@ -196,7 +197,8 @@ def next_hit(
     skip = mi.Float(0)
     if normal is not None:  # offset from a Mitsuba surface by a few roundings, along the ray so that it stays the same
         slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
-        skip = dr.select(last >= len(table.pieces), dr.opaque(mi.Float, table.mitsuba_epsilon) / slant, 0)
+        on_mitsuba = (last >= len(table.pieces)) & (last != NO_SURFACE)
+        skip = dr.select(on_mitsuba, dr.opaque(mi.Float, table.mitsuba_epsilon) / slant, 0)
     ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o) + table.mitsuba_offset), d)
     ray.maxt = dr.select(dr.isfinite(t), t - skip, dr.largest(mi.Float))
     hit = table.mitsuba_scene.ray_intersect_preliminary(ray, coherent=False, active=active)

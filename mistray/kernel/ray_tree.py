@@ -16,7 +16,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mistray.errors import MistrayError
 from mistray.events import ABSORBED, event_of
 from mistray.kernel.branch_limits import NO_RUN, BranchLimits
 from mistray.kernel.branching import REFLECT, TRANSMIT, Branching, Children, Choice, Node, Sent
@@ -58,14 +57,9 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     start : StartRays
         Start rays, one per lane.
     settings : Settings
-        Settings of the trace.
+        Settings of the trace, after `Settings.with_unit`.
     recorders : sequence of Recorder or None
         Recorders that take the results, in this order; entries that are None are left out.
-
-    Raises
-    ------
-    MistrayError
-        If `cut_below_W` is set, since start rays have no watts of a source.
     """
     # What a user differentiates by, such as the vertices of a mesh, does not make a trace differentiable
     with dr.suspend_grad():
@@ -101,8 +95,6 @@ class _Tree:
         recorders: Recorders,
         supply: StartSupply | None = None,
     ) -> None:
-        if any(settings.cut_below_W):
-            raise MistrayError("cut_below_W is in watts of a source, and this trace starts from none; use cut_below")
         table = scene.table
         self.scene, self.start, self.settings, self.recorders, self.supply = scene, start, settings, recorders, supply
         self.n = dr.width(start.o)
@@ -334,7 +326,7 @@ class _Tree:
             at_rim = table.wall_rims.at_rim(s, it.local, first)
             loss = dr.select(at_rim, 1, loss)
         loss, counted = dr.select(dr.abs(loss) < NO_LOSS, 0, loss), first & contributes
-        absorbed, counts = self.limits.absorb(w * loss, counted)
+        absorbed, counts = self.limits.absorb(w * loss, counted, start.given("scale", mi.Float(1)))
 
         # Record the hit, with MIS weights if it is on the detector of a forward trace
         detected = mi.Bool(False) if self.scene.backward else counted & ((it.word & DETECTOR) != 0) & counts
@@ -420,7 +412,8 @@ class _Tree:
         if self.scatters:
             scattered = (scatter | by_medium) & (flux > 0) & contributes
             self.recorders.lose(children.remainder, -flux, scattered, memory)
-        flux = self.limits.end(flux, scatter, by_medium, reflect, node.visit, contributes)
+        scale = node.start.given("scale", mi.Float(1))
+        flux = self.limits.end(flux, scatter, by_medium, reflect, node.visit, contributes, scale)
         return Sent(
             origin=origin,
             heading=heading,

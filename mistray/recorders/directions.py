@@ -13,6 +13,7 @@ from mistray.known_arguments import known_arguments
 from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, PST_FIELD_DEG
 
 CELL_DEG = 2.0  # width of a cell by default
+SAME_DEG = 1e-9  # difference of two angles that is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +86,10 @@ class DirectionGrid:
         """
         # Field angles and the borders of their cells
         given = np.array(PST_FIELD_DEG.check_each("field_deg", field_deg))
-        if np.min(np.diff(given), initial=np.inf) <= 0:
+        if np.min(np.diff(given), initial=np.inf) <= SAME_DEG:
             raise MistrayError("field_deg must ascend; sort the field angles and give each once")
-        angles = np.unique(np.abs(given))
+        angles = np.sort(np.abs(given))
+        angles = angles[np.diff(angles, prepend=-1.0) > SAME_DEG]
         apart = float(np.min(np.diff(angles), initial=np.inf))
         width = min(CELL_DEG, apart) if cell_deg is None else float(cell_deg)
         CELL_WIDTH_DEG.check("cell_deg", width)
@@ -106,7 +108,7 @@ class DirectionGrid:
             span = min(10.0, _least_gap(azimuths)) if len(azimuths) == 1 else _least_gap(azimuths)
             if np.any(given < 0):
                 opposite = azimuths + np.where(azimuths > 0, -180, 180)
-                new = opposite[~np.isin(opposite % 360, azimuths % 360)]
+                new = opposite[np.min(_apart(opposite[:, None], azimuths), axis=1) > SAME_DEG]
                 azimuths = np.append(azimuths, new) if np.any(given >= 0) else opposite
             # The opposite azimuths may lie closer than the given ones
             least = _least_gap(azimuths)
@@ -170,7 +172,7 @@ class DirectionGrid:
                 f"angle {field_deg:g}° is in no cell; the nearest is that of {self.field_deg[i]:g}°, "
                 f"{low:g} … {high:g}°"
             )
-        apart = np.abs((self.azimuths_deg - azimuth_deg + 180) % 360 - 180)
+        apart = _apart(self.azimuths_deg, azimuth_deg)
         j = int(np.argmin(apart))
         if apart[j] > self.azimuth_cell_deg / 2 + 1e-9:
             raise MistrayError(f"azimuth {azimuth_deg:g}° is in no cell; the nearest is {self.azimuths_deg[j]:g}°")
@@ -194,8 +196,14 @@ class DirectionGrid:
         return cls(angles, edges, azimuths, float(facts["azimuth_cell_deg"]), rotation)
 
 
+def _apart(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
+    """Return the angles between azimuths a and b, degrees, 0 … 180."""
+    return np.asarray(np.abs((a - b + 180) % 360 - 180))
+
+
 def _least_gap(azimuths: np.ndarray) -> float:
-    """Return the smallest angle between two neighbouring azimuths, degrees; 360 for a single one."""
+    """Return the smallest angle between two neighbouring azimuths, degrees: 0 for equal ones, 360 for a single one."""
     # The first azimuth again, one turn on, closes the circle
     around = np.sort(azimuths % 360)
-    return float(np.diff(np.append(around, around[0] + 360)).min())
+    gap = float(np.diff(np.append(around, around[0] + 360)).min())
+    return gap if gap > SAME_DEG else 0.0

@@ -44,13 +44,14 @@ class Visit:
     shares : ScatterBudget or None
         Scattering shares of the surfaces; None: no surface scatters.
     visited : mi.Bool
-        Lanes that visit a node for the first time.
+        Lanes that visit a node for the first time, those of connected rays left out.
     active : mi.Bool
-        Lanes among `visited` whose hits contribute.
+        Lanes among `visited` whose hits contribute: all but rays that are lost in a material that is not here.
     detected : mi.Bool
-        Lanes among `active` whose surface is a detector.
+        Lanes among `active` whose surface is a detector; only where it absorbs light within the limits of the trace,
+        unless a recorder is `incident`. None in a backward trace.
     counted : mi.Bool
-        Lanes whose hits later recorders record; a recorder may remove some.
+        Lanes among `detected` whose hits later recorders record; a recorder may remove some.
     weight, absorbed : mi.Float
         Throughput on arrival, and the flux that is absorbed within the limits of the trace, both in units of a start
         ray's flux.
@@ -336,7 +337,7 @@ class Return:
     closed : mi.UInt32
         Depth of the first node to which the lane does not come back.
     active : mi.Bool
-        Lanes that go back.
+        Lanes whose branch has ended: they come back to a node, or their tree is complete.
 
     Examples
     --------

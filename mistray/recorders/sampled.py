@@ -43,7 +43,7 @@ class Sampled:
     @classmethod
     def of(cls, by_batch: Numbers, rays: Numbers) -> Sampled:
         """
-        Create an estimate and its noise from sums over batches of start rays.
+        Create an estimate and its noise from sums over batches of start rays; of a single batch the error is its sum.
 
         Parameters
         ----------
@@ -53,8 +53,9 @@ class Sampled:
             Number of start rays of each batch.
         """
         # apart_b = (x_b - x n_b/n) √(B/(B - 1)), B being the number of batches with rays
-        value = by_batch.sum(axis=-1)
-        used = max(int(np.count_nonzero(rays)), 2)
+        value, used = by_batch.sum(axis=-1), int(np.count_nonzero(rays))
+        if used < 2:  # a single batch has no spread
+            return cls(value, by_batch.copy())
         apart = np.multiply(value[..., None], -rays / rays.sum(), out=np.empty_like(by_batch))
         apart += by_batch
         apart *= np.sqrt(used / (used - 1))

@@ -82,7 +82,7 @@ class StartRays:
         Index of the surface that a ray has just arrived at, with its origin on it; `NO_SURFACE` or None: it is between
         surfaces.
     scale : mi.Float, optional
-        Throughput with which the ray left the source: the unit of `Settings.flux_threshold`; None: 1.
+        Throughput with which the ray left the source, or the detector: the unit of `Settings.flux_threshold`; None: 1.
     place : list of mi.Float, optional
         Point of the start ray in the unit cube of its cell, see `mistray.sampling.plane_wave.wave_rays`; None: of a
         trace without cells.

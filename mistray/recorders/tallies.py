@@ -111,7 +111,7 @@ class Tallies(Recorder):
             self._add_surface(branch.place, AIMED, branch.start.batch, 1.0, branch.aimed)
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """Add lost flux, in units of a start ray's, or a count to one of the first `LANE_REASONS` loss channels."""
+        """Add lost flux, in units of a start ray's, or a count to a loss channel up to `EVENTS_OF_LANE`."""
         sums = memory[SUMS][-1]
         sums.write(sums.read(channel, active) + mi.Float64(flux), channel, active)
 

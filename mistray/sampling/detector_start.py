@@ -297,14 +297,19 @@ class DetectorStart:
             to_target, own = targets.sample(plan, [u[0], u[1], spare, spare], p, outward, aim)
             d = dr.select(aim, to_target, d)
         if self._targets is not None or self._guide is not None:
-            w = dr.select(back, w, w * self._over_all(p, d, outward, aim, own, ~back))
+            at = None
+            if (
+                self._guide is not None
+            ):  # rays keep the places that were drawn: rounding would move some to other leaves
+                at = [dr.select(guided, *pair) for pair in zip(v, self.place(p, d, outward), strict=True)]
+            w = dr.select(back, w, w * self._over_all(p, d, outward, ~back, aim, own, at))
             w = dr.select(dr.isfinite(w), w, 0)
         # Radiance over n² is invariant, so that n² of the detector's medium enters the weight
         w = w * dr.select(back, self._index2[1], self._index2[0])
         left = dr.full(mi.UInt32, self._table.detector, dr.width(lane))
         medium = dr.select(back, self._media[1], self._media[0])
         pixel = self.pixel(x, y, *pixels)
-        return StartRays(lane, batch, rng, p, d, w, left=left, normal=normal, pixel=pixel, medium=medium)
+        return StartRays(lane, batch, rng, p, d, w, left=left, normal=normal, pixel=pixel, medium=medium, scale=w)
 
     def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
@@ -326,7 +331,7 @@ class DetectorStart:
         if self._curved:
             w = w / (dr.abs(upright) * self._stretch)
         if self._targets is not None or self._guide is not None:
-            over_all = self._over_all(p, d, outward, mi.Bool(False), mi.UInt32(0), active & ~back)
+            over_all = self._over_all(p, d, outward, active & ~back)
             w = dr.select(back, w, w * over_all)
         return w * dr.select(back, self._index2[1], self._index2[0])
 
@@ -360,22 +365,31 @@ class DetectorStart:
         return dr.cross(along, outward), along
 
     def _over_all(
-        self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, aim: mi.Bool, own: mi.UInt32, active: mi.Bool
+        self,
+        p: mi.Vector3f,
+        d: mi.Vector3f,
+        outward: mi.Vector3f,
+        active: mi.Bool,
+        aim: mi.Bool | bool = False,
+        own: mi.UInt32 | int = 0,
+        at: list[mi.Float] | None = None,
     ) -> mi.Float:
         """
         Return the Lambertian pdf over the pdf of all sampling techniques together, for rays on the lit side.
 
-        `aim` is a mask of rays that were aimed; `own` is the index of their target. For the others see `weight_at`.
+        `aim` is a mask of rays that were aimed; `own` is the index of their target. `at` are the points of the rays in
+        the start map; None: those of `place`. For the others see `weight_at`.
         """
         lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
         density = lambertian
         if self._targets is not None:
             targets, count = self._targets
             plan = dr.zeros(mi.Vector2u, dr.width(d)) + mi.Vector2u(0, count)
-            density = dr.lerp(lambertian, targets.density(plan, p, d, outward, aim, own, active), AIMED)
+            to_targets = targets.density(plan, p, d, outward, mi.Bool(aim), mi.UInt32(own), active)
+            density = dr.lerp(lambertian, to_targets, AIMED)
         if self._guide is not None:
             cell = dr.zeros(mi.UInt32, dr.width(d))
-            map_density = self._guide.density(cell, self.place(p, d, outward), active)
+            map_density = self._guide.density(cell, at or self.place(p, d, outward), active)
             density = dr.fma(GUIDED * lambertian, map_density - 1, density)
         return lambertian / density
 

@@ -12,6 +12,7 @@ import numpy as np
 from mistray.sampling.emission_laws import polar
 from mistray.sampling.source import OPTICS, Emission, PluginRays, Sphere, across, on_host, turned
 from mistray.sampling.strata import Strata, stratified_points
+from mistray.settings import BATCHES
 from mistray.surfaces.upload import opaque
 
 AIMED = (OPTICS, 1 - OPTICS)  # shares of the rays that go to the first aperture, and to the rest of the scene
@@ -59,6 +60,9 @@ class DistantRays(PluginRays):
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Return the start rays of one pass: origins, mm, unit directions, relative flux; see `SceneSource.start`."""
+        # Where batches have a single ray, the stratum of the aperture would get none
+        if self.aperture is not None and rays < 2 * BATCHES:
+            return replace(self, aperture=None).start(lane, batch, rays, rng, centre)
         strata = Strata(batch, (1.0,) if self.aperture is None else AIMED)
         sample = stratified_points(strata.group, rng)
         within = None if self.aperture is None else strata.number == 0

@@ -94,9 +94,10 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
 
 def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> str:
     """
-    Return a hash of the scene data on which automatic targets depend, as key of a cache.
+    Return a hash of the surfaces, films and sources of a scene, as part of the keys of caches; coatings are left out.
 
-    Targets that miss a change raise only the variance.
+    Importance targets and the medium outside of the scene depend on nothing else that matters: a target that misses a
+    change raises only the variance. `surfaces` are the indices of those that the cached result is for.
     """
     of_table = remembered(table.kept, "signature", lambda: _table_facts(table))
     films = [table.film(detector) for detector in table.detectors]
@@ -105,7 +106,7 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
 
 
 def _table_facts(table: SurfaceTable) -> str:
-    """Return the facts of the surfaces for `signature`, in words."""
+    """Return a hash of the places, shapes and materials of all surfaces, for `signature`."""
     facts = [
         *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
         *(getattr(shape, "coefficients", "") for shape in table.shapes),
@@ -114,6 +115,8 @@ def _table_facts(table: SurfaceTable) -> str:
         table.optics.host_indices.tobytes(),
         table.optics.host_words.tobytes(),
         table.optics.host_scattering.tobytes(),
+        np.array(table.optics.extinction).tobytes(),
+        table.mitsuba_hash,
     ]
     return hashlib.sha256(repr(facts).encode()).hexdigest()
 

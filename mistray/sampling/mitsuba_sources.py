@@ -17,6 +17,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.kernel.lobes import from_local
 from mistray.sampling.emission_laws import cosine_power, direction, polar
+from mistray.sampling.outlines import area_of
 from mistray.sampling.sky_map import environment
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
 from mistray.spectra.spectrum import DEFAULT_NM
@@ -50,7 +51,7 @@ class AreaLight:
 
     def power(self, field_deg: float | None = None) -> float:
         """Return the emitted flux, W: π · radiance · area. The field angle has no effect."""
-        return float(np.pi * self.radiance * float(np.array(self.shape.surface_area()).ravel()[0]))
+        return np.pi * self.radiance * area_of(self.shape)
 
     def field_of(self, height_mm: float) -> float:
         """Raise `MistrayError`: there is no object plane, in which heights would be field angles."""

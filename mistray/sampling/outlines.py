@@ -1,4 +1,4 @@
-"""Clear apertures of shapes as flat importance targets, and the area of the detector."""
+"""Clear apertures of shapes as flat importance targets, and areas of shapes and of the detector."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mistray.kernel.targets import Target
 from mistray.surfaces.host_points import across
 from mistray.surfaces.surfaces import SurfaceTable, is_analytic
 
-AREA_PARTS = 8  # patches of a curved detector along each coordinate
+AREA_PARTS = 8  # patches of a curved surface along each coordinate
 
 
 def outline(shape: Any) -> Target:
@@ -35,6 +35,13 @@ def outline(shape: Any) -> Target:
     low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     u, v = 0.5 * np.linalg.norm(high - low) * across(np.eye(3)[np.argmin(high - low)]).T
     return Target("ellipse", 0.5 * (low + high), u, v)
+
+
+def area_of(shape: Any) -> float:
+    """Return the area of a shape, mm²: of the curved surface itself if it is analytic, not of its mesh."""
+    if is_analytic(shape):
+        return float(shape.surface(shape.values).areas(AREA_PARTS, AREA_PARTS).sum())
+    return float(np.array(shape.surface_area()).ravel()[0])
 
 
 def detector_area(table: SurfaceTable) -> float:

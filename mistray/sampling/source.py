@@ -487,7 +487,13 @@ class EmittedRays(PluginRays):
         return mi.Float64(self.emitter.density(point(place), local, self._numbers(one)))
 
     def _near(self, o: mi.Vector3d, d: mi.Vector3d) -> mi.Vector3d:
-        """Return origins, mm, moved along their rays from far away to the scene, where float32 is precise enough."""
+        """
+        Return origins, mm, moved along their rays from far away to the scene, where float32 is precise enough.
+
+        Those in a `medium`, which weakens the light on all of its way, stay.
+        """
+        if self.medium:
+            return o
         middle = opaque(mi.Vector3d, self.scene.centre)
         radius = dr.opaque(mi.Float64, self.scene.radius)
         ahead = dr.dot(middle - o, d) - 1.01 * radius

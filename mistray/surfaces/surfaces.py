@@ -14,6 +14,7 @@ them through its acceleration structure.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Hashable, Sequence
 from copy import copy
 from typing import Any
@@ -22,6 +23,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray._mitsuba_compat import peek
 from mistray.cache.remembered import remembered
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion
@@ -371,6 +373,23 @@ class SurfaceTable:
         self.mitsuba_offset = opaque(mi.Vector3f, self.centre)
         free_space = FreeSpace(self) if self.pieces else None
         self.free_space = free_space if free_space is not None and free_space.some else None
+
+    @property
+    def mitsuba_hash(self) -> bytes:
+        """SHA-256 hash of the frames and vertices of all Mitsuba shapes that are not analytic."""
+
+        def of_shapes() -> bytes:
+            digest = hashlib.sha256()
+            for shape in self.shapes[len(self.pieces) :]:
+                params = mi.traverse(shape)
+                for key in (key for key in params.keys() if "." not in key):  # noqa: SIM118  it iterates over pairs
+                    value = peek(params, key)
+                    value = value.matrix if isinstance(value, mi.Transform4f) else value
+                    if dr.is_array_v(value):
+                        digest.update(np.array(dr.detach(value)).tobytes())
+            return digest.digest()
+
+        return remembered(self.shared, "mitsuba hash", of_shapes)
 
     def mitsuba_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """

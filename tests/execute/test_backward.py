@@ -66,6 +66,29 @@ def test_ghosts_by_two_roulettes(load_scene) -> None:
     assert se < 0.1 * cut
 
 
+@pytest.mark.long
+def test_the_threshold_is_relative_to_the_start(load_scene) -> None:
+    """Rays aimed out of a deep tube start with some thousandths of the mean weight; ghosts of 1e-6 are no cut ones."""
+    sides, shares = (("front", 0.0, "air", "1.5"), ("rear", 2.0, "1.5", "air")), {"R": 1e-3, "T": 0.999}
+    plate = [shape_xml("asphere", name, z, interface_xml(*n, **shares), semi_diameter=5.0) for name, z, *n in sides]
+    tube = shape_xml("frustum", "tube", 0.0, r0=5.0, z0=0.0, r1=5.0, z1=200.0)
+    scene = load_scene(scene_text(*plate, tube, shape_xml("asphere", "d", 200.0, sensor=True, semi_diameter=5.0)))
+    limits = ({"flux_threshold": 0.0}, {"flux_threshold": 1e-8}, {"flux_threshold": 0.0, "cut_below": "T=1e-7"})
+    whole, *others = [traced(scene, **limit).sums.cells[GHOST] for limit in limits]
+    assert whole.any()
+    for found in others:
+        np.testing.assert_array_equal(found, whole)
+
+
+@pytest.mark.long
+def test_a_wavelength_without_light(wall_scene) -> None:
+    dark = {"wavelength_nm": [550.0, 600.0], "weights": [1, 0]}
+    assert mistray.pst(wall_scene, [20.0], rays=1024, method="adjoint", **dark).facts["wavelength_nm"] == [550.0]
+    energy = mistray.trace(wall_scene, rays=100, cut_below_W="T=1e-9", ledger=False, **dark).energy
+    assert energy.launched_W > 0
+    assert abs(energy.closure) < 1e-5
+
+
 class TestSee:
     @pytest.mark.parametrize("name", ["plate_and_wall", "newtonian_scatter", "cooke_triplet"])
     def test_all_is_somewhere(self, name: str) -> None:

@@ -80,6 +80,42 @@ def test_a_lamp_within_a_medium() -> None:
         assert absorbed / energy.launched_W == pytest.approx(1 - np.exp(-0.05 * length), rel=1e-3)
 
 
+@pytest.mark.long
+def test_a_lamp_far_away_within_a_medium() -> None:
+    """Its light is weakened on all of its way, also by many diameters of the scene."""
+    front = {
+        "type": "interface",
+        "front": f"1.0+{5e-3 * 550e-6 / (4 * np.pi):.12g}i",
+        "back": "air",
+        "R": 0.0,
+        "T": 1.0,
+    }
+    scene = load(
+        lamp={"type": "point_source", "z": -200.0, "half_angle_deg": 0.1},
+        front={"type": "asphere", "semi_diameter": 1.0, "bsdf": front},
+        detector=detector(0.5, semi_diameter=1.0),
+    )
+    energy = mistray.trace(scene, rays=1000, ledger=False).energy
+    assert energy.detected_W / energy.launched_W == pytest.approx(np.exp(-1), rel=1e-4)
+
+
+@pytest.mark.long
+def test_scatter_close_to_a_mesh() -> None:
+    """Light that is scattered within some roundings of a stock mirror meets it as it meets one of our own."""
+    haze = {"type": "interface", "front": "air", "back": "1.0 scatter=5", "R": 0.0, "T": 1.0}
+    found = []
+    for kind in ({"type": "asphere", "half_width": 60.0, "half_height": 60.0}, {"type": "rectangle"}):
+        place = at(0.1) if "half_width" in kind else at(0.1).scale([60.0, 60.0, 1.0])
+        scene = load(
+            front={"type": "asphere", "semi_diameter": 50.0, "bsdf": haze},
+            mirror={**kind, "to_world": place, "bsdf": {"type": "interface", "R": 0.8}},
+            detector=detector(-20.0, semi_diameter=200.0),
+            beam={"type": "collimated", "radius": 1.0, "distance": 10.0},
+        )
+        found.append(mistray.trace(scene, rays=3000, max_scatters=20, splitting="one", ledger=False).energy.escaped_W)
+    assert found[1] == pytest.approx(found[0], rel=1e-4)
+
+
 @pytest.mark.parametrize("depth", [60.0, 2000.0])
 def test_what_a_dense_slab_sends_back(load_scene, depth: float) -> None:
     """1 - H(1) √(1 - ω) of a half space (Chandrasekhar, Radiative Transfer, section 38); false alarm 1e-4 each."""

@@ -4,6 +4,7 @@ from typing import Any
 
 import mitsuba as mi
 import pytest
+from lit_detector import TUBE, lit
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml, sphere_text
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 from oracles.statistics import assert_z, mean_and_error
@@ -93,6 +94,10 @@ def test_watts_are_those_of_a_start_ray(load_scene, plate) -> None:
         assert found.absorbed["p0_front"][0] / launched == pytest.approx(0.1, rel=1e-5)
         assert found.absorbed["p0_rear"][0] / launched == pytest.approx(0.08, rel=1e-5)
         assert cut(found, "absorption_below") == pytest.approx(0.8 * 0.1 * 0.1, rel=1e-4)
+    # A share of the start ray itself, whatever the weight by which that is aimed; watts are those of the light
+    sky = lit({"type": "sky", "half_angle_deg": 20.0}, tube=TUBE)
+    whole, own, watts = (energy(sky, **limit) for limit in ({}, {"cut_below": "A=0.5"}, {"cut_below_W": "A=1e30"}))
+    assert own.detected_W == whole.detected_W > watts.detected_W == 0
     with pytest.raises(MistrayError, match="cut_below_W is in watts of a source"):
         mistray.pst(plate, field_deg=[5.0], rays=1000, method="adjoint", cut_below_W="R=1e-3")
 

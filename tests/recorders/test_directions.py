@@ -52,8 +52,13 @@ def test_cells_and_their_solid_angles() -> None:
         grid = DirectionGrid.of([5.0], azimuths, azimuth_cell_deg=given)
         assert grid.azimuth_cell_deg == pytest.approx(span, rel=1e-12)
         assert grid.shape == (1, len(azimuths))
+    # Opposite angles and azimuths that differ by rounding are the same
+    turned = DirectionGrid.of(np.linspace(-1, 1, 21), np.arange(50) * 7.2)
+    assert turned.shape == (11, 50)
+    assert (turned.azimuth_cell_deg, np.ptp(turned.edges_deg[1])) == pytest.approx((7.2, 0.1))
     each_refused(
         ({"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}, "field_deg is .*; it must lie"),
+        ({"azimuths_deg": [-179.9, 180.1]}, "holds an azimuth twice"),
         ({"field_deg": [2.0, 2.0]}, "field_deg must ascend"),
         ({"azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": 31.0}, "is 31; .* two azimuths, 30 degrees"),
         by=lambda arguments: DirectionGrid.of(**{"field_deg": [1.0]} | arguments),

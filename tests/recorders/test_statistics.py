@@ -247,7 +247,8 @@ def test_errors_hold(draw: object, mean: float) -> None:
 
 def test_a_trace_counts_its_hits() -> None:
     beam = {"type": "collimated", "radius": 1.0, "irradiance": 2.0 / np.pi}
-    t = mistray.trace(lit(beam, detector=square(2.0, 6, z=5.0, bsdf={"type": "interface", "R": 0.25})), rays=512)
+    here = lit(beam, detector=square(2.0, 6, z=5.0, bsdf={"type": "interface", "R": 0.25}))
+    t = mistray.trace(here, rays=512)
     rays, squares, fourths = t.light.weights
     one = 2.0 * 0.75 / 512 / (4.0 / 6) ** 2  # W/mm² of a ray
     assert rays.sum() == 512
@@ -255,6 +256,9 @@ def test_a_trace_counts_its_hits() -> None:
     np.testing.assert_allclose(squares, rays * one**2, rtol=1e-6)
     np.testing.assert_allclose(fourths, rays * one**4, rtol=1e-6)
     np.testing.assert_array_equal(np.isnan(t.irradiance_se), rays < 10)
+    # A single ray has no spread, but an error
+    energy = mistray.trace(here, rays=1).energy
+    assert energy.detected_se_W == energy.detected_W > 0
 
 
 RAYS = 4000

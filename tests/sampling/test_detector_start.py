@@ -215,6 +215,24 @@ def test_densities_are_those_of_the_samples(learned: StartMap, cell: int) -> Non
         assert density.min() >= UNIFORM
 
 
+def test_a_narrow_leaf_beside_a_dark_one(detector_table) -> None:
+    """Many rays start within 2^-14 below 3/4; rounded up they would have the weight of those that few have."""
+    highs = [True, False, *[True] * 12]
+    axis, child, low = np.full(30, -1, np.int32), np.zeros(30, np.int32), np.zeros(30)
+    node = 1
+    for depth, high in enumerate(highs, start=1):
+        axis[node], child[node], low[node] = 0, 2 * depth, 0.04 if high else 0.96
+        node = 2 * depth + high
+    narrow = StartMap(axis, child, low, np.ones(1, np.int32))
+    points, density = sampled(DeviceMap(narrow), 0)
+    assert density[np.abs(points[:, 0] - 0.75) < 1e-6].min() > 1000
+    start = DetectorStart(detector_table("rectangle"), AXIS, None, False)
+    start.guide(narrow)
+    found = rays_of(start)
+    place = np.array(start.place(found.o, found.d, -found.normal)[0])
+    assert host(found.w)[np.abs(place - 0.75) < 1e-6].max() < 0.01
+
+
 def test_light_that_arrives_by_chance_gets_more_rays() -> None:
     """With E[F²] 100 times as large √100 times as many rays are best; the share is the mean of 1/11 and 1/2."""
     rng = np.random.default_rng(2)

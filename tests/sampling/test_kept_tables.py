@@ -158,6 +158,26 @@ def test_a_changed_mesh_is_seen() -> None:
     assert mistray.trace(scene, rays=100).paths[0].events == "detector:A"
 
 
+@pytest.mark.long
+def test_what_is_found_by_no_box_and_no_index(load_scene: Any) -> None:
+    """A fold mirror that is tilted the other way has the same box, and a cloud of another asymmetry the same index."""
+    place, runs = mi.ScalarTransform4d, []
+    for tilt in (45.0, -45.0):
+        fold = place().translate([0, 0, 10]).rotate([1, 0, 0], tilt).scale(2)
+        mirror = {"type": "rectangle", "to_world": fold, "bsdf": {"type": "interface", "R": 0.9, "mirror": True}}
+        screens = {
+            name: scene_dicts.detector(
+                0, to_world=place().translate([0, y, 10]).rotate([1, 0, 0], 90.0), semi_diameter=2
+            )
+            for name, y in (("up", 5), ("down", -5))
+        }
+        scene = scene_dicts.load(beam={"type": "collimated", "radius": 0.5}, mirror=mirror, **screens)
+        assert mistray.trace(scene, rays=100).paths[0].kind == "direct"
+        runs.append(prepared(scene))
+    runs += [prepared(load_scene(scene_text(f"1.5 scatter=0.1 g={g}"))) for g in (0.1, 0.8)]
+    assert len({fingerprint([(run.table, run.scattering)]) for run in runs}) == 4
+
+
 def test_tables_go_with_their_scene(load_scene: Any) -> None:
     scene = load_scene(scene_text())
     prepared(scene, polarization="stokes"), prepared(scene)

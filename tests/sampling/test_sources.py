@@ -97,9 +97,13 @@ def test_closed_forms(name: str, tube: bool) -> None:
     assert abs(t.energy.closure) < 1e-6
 
 
-def test_an_area_emitter_has_no_object_plane() -> None:
+def test_stock_area_emitters() -> None:
     with refused("its area emitter has no object plane"):
         mistray.trace(lit(CASES["stock area"][0]), rays=10, field_mm=1.0)
+    # The flux is that of the surface, not of its mesh: of π L A with A = 2π R h
+    cap = {"type": "asphere", "curvature": 0.1, "semi_diameter": 8.0, "bsdf": BLACK, "emitter": {"type": "area"}}
+    (source,) = scene_sources(lit(cap))
+    assert source.power == pytest.approx(np.pi * 80 * np.pi, rel=1e-6)
 
 
 def test_squares() -> None:
@@ -133,6 +137,15 @@ def test_errors_hold_over_seeds() -> None:
         assert_z(f"mean of {name}", float(np.mean(z)), 0.0, 1 / np.sqrt(40), false_alarm=2.5e-4)
         # t with 31 degrees of freedom: variance 31/29, that of its square 2 · (31/29)² · (1 + 3 · …) < 3
         assert_z(f"spread of {name}", float(np.mean(np.square(z))), 31 / 29, np.sqrt(3 / 40), false_alarm=2.5e-4)
+
+
+@pytest.mark.long
+def test_few_rays_of_a_sky() -> None:
+    """Batches of one ray have no room for strata: the mean of 20 runs; false alarm 1e-4."""
+    lamp, exact = CASES["part of the sky"]
+    here = lit(lamp, tube=TUBE | {"r0": 20.0, "r1": 20.0, "z0": 0.0, "z1": 50.0})
+    seen = np.array([mistray.trace(here, rays=40, seed=k, ledger=False).energy.detected_W for k in range(20)])
+    assert_z("sky", seen.mean(), exact, seen.std(ddof=1) / np.sqrt(20), false_alarm=1e-4)
 
 
 def test_a_sky_is_aimed_at_the_front_of_a_short_scene() -> None:

@@ -304,9 +304,11 @@ class DeviceMap:
             mode="symbolic",
             labels=("node", "t", "corner", "size", "going"),
         )
-        # Position in the leaf: along a space-filling curve, so that stratified numbers stay stratified
+        # Position in the leaf: along a space-filling curve, so that stratified numbers stay stratified. Rounded up to
+        # the next leaf, where few rays start, it would have a far too small density
         inner = curve_points(dr.clip(t, 0, 1 - 1e-12), DIMENSIONS, rng)
-        point = [dr.minimum(corner[j] + size[j] * inner[j], 1 - 2.0**-24) for j in range(DIMENSIONS)]
+        sides = zip(corner, size, inner, strict=True)
+        point = [dr.minimum(low + side * u, (low + side) * (1 - 2.0**-24)) for low, side, u in sides]
         return point, self.density(cell, point, dr.full(mi.Bool, True, width))
 
     def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:

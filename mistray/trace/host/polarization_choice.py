@@ -23,7 +23,6 @@ from mistray.cache.remembered import remembered
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.events import REFLECTED, kind_of, place_of
-from mistray.execute.scene_numbers import read_numbers
 from mistray.execute.scene_task import fingerprint
 from mistray.execute.tracer import Run, prepare
 from mistray.light import AS_THE_SCENE, Light
@@ -242,9 +241,6 @@ def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
     for table, _ in tables.values():
         digest.update(signature(table, scene, table.detectors).encode())
         digest.update(repr([hash(one.coating) for one in table.interfaces]).encode())
-    if runs and runs[0][1].table.mitsuba_scene is not None:  # its numbers, such as vertices, are not in the signature
-        for numbers in read_numbers(scene).values():
-            digest.update(numbers.tobytes())
     for field, run in runs:
         facts = field, run.source.name, *_of_table(run), replace(run.settings, rays=1, seed=0)
         digest.update(repr(facts).encode())
