@@ -122,10 +122,8 @@ class GridTrace:
         self.grid, self.settings, self.lists_paths = grid, settings, paths
         self._scene = scene
         # Surfaces at each wavelength, and the paths of the direct image
-        lines = [
-            line for line in zip(*spectrum_of(scene, light.wavelength_nm, light.weights), strict=True) if line[1] > 0
-        ]
-        self.wavelength_nm, self.weights = (tuple(map(float, part)) for part in zip(*lines, strict=True))
+        wavelengths, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
+        self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
         self._tables = traced_tables(scene, self.wavelength_nm, light.detector, settings.stokes)
         self.table = self._tables[0]
         self.intersector = Intersector.of(self.table)

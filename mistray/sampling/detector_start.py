@@ -298,9 +298,8 @@ class DetectorStart:
             d = dr.select(aim, to_target, d)
         if self._targets is not None or self._guide is not None:
             at = None
-            if (
-                self._guide is not None
-            ):  # rays keep the places that were drawn: rounding would move some to other leaves
+            # Rays keep the places that were drawn: rounding would move some to other leaves
+            if self._guide is not None:
                 at = [dr.select(guided, *pair) for pair in zip(v, self.place(p, d, outward), strict=True)]
             w = dr.select(back, w, w * self._over_all(p, d, outward, ~back, aim, own, at))
             w = dr.select(dr.isfinite(w), w, 0)
