@@ -298,7 +298,8 @@ def test_closed_forms_and_noise() -> None:
     assert found[0].noise == pytest.approx(2.0, rel=0.2)
     # The spread over 300 draws is the error: χ² with 299 degrees of freedom, false-alarm probability 1e-6 a side
     found = [propagate(["a", "b", "c"], batches([1.0, -4.0, 0.5], 0.2, seed), [("g", [1, 2])]) for seed in range(300)]
-    values = np.array([[*spread.variance, *spread.contributions[0].change] for spread in found])
-    for value, se in ((0, 1), (2, 3)):
+    first = [spread.contributions[0] for spread in found]
+    values = np.array([[*s.variance, *own.change, *own.share] for s, own in zip(found, first, strict=True)])
+    for value, se in ((0, 1), (2, 3), (4, 5)):
         ratio = values[:, value].var(ddof=1) / np.mean(values[:, se] ** 2)
         assert 0.65 < ratio < 1.48, ratio
