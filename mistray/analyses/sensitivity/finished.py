@@ -120,7 +120,7 @@ class Finished:
                 one_sided={},
             )
             times = float(facts["taken"]["times"])
-            taken = Taken(metric.with_rays_times(times), found=found, **facts["taken"])
+            taken = Taken(metric.with_rays_times(times * metric.times), found=found, **facts["taken"])
             self.check = None if facts["check"] is None else _check(facts["check"])
             self.systems = arrays["systems"].tolist()
         except (KeyError, TypeError, ValueError, AttributeError):

@@ -13,10 +13,11 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 from refusals import each_refused, refused
 
 import mistray
-from mistray.analyses.sensitivity import draws
+from mistray.analyses.sensitivity import draws, request
 from mistray.analyses.sensitivity.page import notes
 from mistray.analyses.sensitivity.propagation import propagate
 from mistray.analyses.sensitivity.proposals import free_keys
+from mistray.metrics.parameters import KINDS
 from mistray.optimize import parameters, path_power, sensitivity
 
 R, T = 0.1, 0.8
@@ -127,6 +128,10 @@ def test_a_detector_stays_lit() -> None:
     assert row.to_value == pytest.approx(0.2 + 0.999 * 0.8, rel=1e-6)
 
 
+def test_kinds_that_can_be_chosen() -> None:
+    assert request.KINDS == KINDS
+
+
 def test_what_changes_together(plate: Any) -> None:
     """Perturbed indices lose no light between the surfaces of a plate; a part moves as a whole."""
     found = sensitivity(path_power(plate, "direct", **SETTINGS), keys=["p0_front.bsdf.n_*"], check=False, monte_carlo=2)
@@ -231,6 +236,13 @@ class TestInTime:
             ("all", SETTINGS, "the metric was .* and"),
             by=lambda light, traced: sensitivity(path_power(plate, light, **traced), resume=True, **saved),
         )
+
+    def test_a_multiple_of_the_rays(self, tmp_path: Path) -> None:
+        metric = path_power(mistray.load("lens_and_window"), "ghost", rays=64).with_rays_times(4.0)
+        saved: dict[str, Any] = {"keys": "detector.bsdf.R", "check": False, "state": tmp_path / "state.npz"}
+        found = [sensitivity(metric, resume=resume, **saved).value.value for resume in (False, True)]
+        assert found == pytest.approx([metric.value()] * 2, rel=1e-6)
+        assert found[0] != pytest.approx(metric.with_rays_times(1.0).value(), rel=1e-4)
 
     def test_what_has_no_time_is_listed(self, plate: Any, tmp_path: Path) -> None:
         """The closed form from fewer rays; systems that are not traced are not there; going on traces them."""
