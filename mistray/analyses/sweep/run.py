@@ -99,10 +99,11 @@ def run(
     angles = _angles(loaded, request.field_deg, azimuth_deg, wavelengths[0])
     arguments = ({} if azimuth_deg is None else {"azimuth_deg": azimuth_deg}) | dict(request.settings)
     cells = [Cell(one, wavelength, angle) for one in chosen for wavelength in wavelengths for angle in angles]
+    asked = Settings.of(loaded, **request.settings)
     store, warnings = _cache_of(source, loaded, cache)
     kept = None
     if store is not None and contents is not None:
-        kept = KeptRows(store, contents, traced_facts(contents, Settings.of(loaded, **request.settings), azimuth_deg))
+        kept = KeptRows(store, contents, traced_facts(contents, asked, azimuth_deg))
     found = kept.read(cells) if kept is not None else {}
     reused, short = len(found), list[Cell]()
     contacts = Contacts(loaded) if any(one.values for one in chosen) else None
@@ -138,7 +139,7 @@ def run(
         try:
             with shares.one():
                 found[cell] = _traced(loaded, cell, arguments, part)
-                unfinished = time_is_up()
+                unfinished = time_is_up() and found[cell]["rays"] < asked.rays
         except UnfinishedError as error:
             raise UnfinishedError(f"{cell}: {error}", result()) from None
         except MistrayError as error:
