@@ -258,7 +258,8 @@ def test_one_report_and_a_csv_of_every_table(small, tmp_path: Path):
 
 
 def test_angles_of_the_source_reach_beyond_the_fields():
-    assert source_angles([0.0, 18.0, -22.0], 80.0) == [0.0, 18.0, 22.0, 30.0, 40.0, 60.0, 80.0]
+    """Those of a negative field, too, which lights the other side."""
+    assert source_angles([0.0, 18.0, -42.0], 80.0) == [-42.0, 0.0, 18.0, 60.0, 80.0]
 
 
 HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
