@@ -49,7 +49,7 @@ def stray_light_analysis(
     first : FirstOrder, optional
         First-order data of the system; without it the PST on axis is not compared with its closed form.
     transmittance : float
-        Transmittance of the design path at normal incidence, 0 … 1; NaN if unknown.
+        Transmittance of the design path along its base ray, 0 … 1, mean over the light; NaN if unknown.
     design : sequence of str
         Ids of the surfaces of the design path.
     images : Transfer or str
