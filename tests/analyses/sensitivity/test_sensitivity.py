@@ -172,6 +172,19 @@ def test_systems_that_cross_are_drawn_again(load_scene, monkeypatch: pytest.Monk
         sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=2)
 
 
+@pytest.mark.long
+def test_systems_beside_each_other(load_scene) -> None:
+    """Two faces that their `x` keeps apart; without it they would cross."""
+    sides = ("left", 0.02, 6.0), ("right", -0.02, -6.0)
+    face = interface_xml("air", "1.5", R=0.1, T=0.8)
+    faces = [shape_xml("asphere", name, 0.0, face, semi_diameter=5.0, curvature=c, x=x) for name, c, x in sides]
+    detector = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=12.0, half_height=8.0)
+    scene = load_scene(scene_text(*faces, detector, radius=12.0))
+    keys = ["left.x", "right.x", "right.z"]
+    found = sensitivity(path_power(scene, "all", rays=64), keys=keys, check=False, monte_carlo=2)
+    assert found.draws.rejected == 0
+
+
 def test_a_table_has_all(plate: Any, table: Any) -> None:
     frame = table.to_pandas()
     assert list(frame.label) == [row.label for row in table.rows]
