@@ -30,7 +30,7 @@ class Taken:
     metric : Metric
         Metric with the rays used, and the plans of its pilots.
     times : float
-        Factor on the rays of the metric, at most 1.
+        Rays used over those of the metric that was asked for, at most 1.
     found : Gradient
         Gradient by parameter.
     seconds : float

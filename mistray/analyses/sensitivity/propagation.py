@@ -22,7 +22,7 @@ class Contribution:
     change: Estimate = column(
         "change of ln(metric) when all members change by one tolerance in the same sense", percent=True
     )
-    share: Estimate = column("share of the variance, 0 … 1; NaN where the variance is 0")
+    share: Estimate = column("share of the variance, by noise perhaps above 1; NaN unless that is above 0")
 
 
 @dataclass(frozen=True)

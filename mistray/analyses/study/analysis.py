@@ -270,7 +270,7 @@ def _level_findings(pst: Pst, first: FirstOrder | None, transmittance: float) ->
     angle = pst.field_deg
     last = int(np.flatnonzero(value > 0)[-1])
     found = [
-        f"PST ({pst.convention}) falls from {value[0]:.3g} at {angle[0]:g}° to {value[last]:.2g} at {angle[last]:g}°; "
+        f"PST ({pst.convention}) goes from {value[0]:.3g} at {angle[0]:g}° to {value[last]:.2g} at {angle[last]:g}°; "
         f"stray light alone from {pst.stray[0]:.2g} to {pst.stray[last]:.2g}."
     ]
     direct, direct_se = pst.curve("direct")

@@ -35,7 +35,9 @@ class Configuration:
     values : mapping of str to float or sequence of float
         Parameters and their values in their units: keys of ``mi.traverse(scene)``, names of groups such as
         ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?`` and ``[…]``.
-        A single value stands for all entries of a parameter. If two name the same key, the later one holds.
+        A single value stands for all entries of a parameter. If two name the same key, the later one holds. The
+        displacement or tilt of a part that is no group, such as ``L1.tilt_x``, is added to the positions and tilts of
+        its surfaces, see `mistray.optimize.bodies`.
     paint, coat : mapping
         Paint and coatings as in `mistray.coat`, by names or patterns of surfaces or parts; for `sweep_pst`.
     block : sequence of Structure

@@ -230,12 +230,12 @@ def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> t
 
 def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> list[float]:
     """
-    Return the wavelengths of a sweep, nm: the given ones without duplicates, or those of the scene's source.
+    Return the wavelengths of a sweep, nm: the given ones, or those of the scene's source.
 
     Raises
     ------
     MistrayError
-        If the sources have several spectra and no wavelength is given.
+        If a wavelength is given twice, or none is given and the sources have several spectra.
     """
     if wavelength_nm is None and len({tuple(source.wavelengths_nm) for source in source_emitters(scene)}) > 1:
         raise MistrayError("sweep: the sources of the scene have several spectra; give wavelength_nm")

@@ -114,7 +114,7 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
     """
     Return the names of the trace settings that a kind of term accepts.
 
-    The seed is left out, as the optimizer sets it. A kind on coating layers accepts none.
+    Those in `FIXED` are left out, such as the seed, which the optimizer sets. A kind on coating layers accepts none.
     """
     if kind in OF_LAYERS:
         return ()
