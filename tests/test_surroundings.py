@@ -19,6 +19,7 @@ from oracles.small_scenes import plates_text, write
 
 import mistray
 from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
+from mistray.analyses.sweep import page as sweep_page
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayWarning
 from mistray.report import writable_directory, write_pst
@@ -175,6 +176,7 @@ def test_rows_of_a_sweep_without_time_are_not_traced(lens: Path) -> None:
     assert len(table) == len(found) + len(found.not_traced) == 200
     assert int(table.stray_W.isna().sum()) == len(found.not_traced)
     assert any("not traced" in text and "of 200 rows" in text for text in found.warnings)
+    assert len({tuple(row) for row in sweep_page.record(found)["rows"]}) == 1
     _, field_deg, wavelength_nm = found.not_traced[0]
     with pytest.raises(mistray.MistrayError, match="not finished"):
         found.estimate("stray_W", field_deg=field_deg, wavelength_nm=wavelength_nm)

@@ -35,6 +35,11 @@ class TraceView:
         given = {name: value for name, value in self.arguments.items() if value is not None}
         return type(self), sorted_arguments(given)
 
+    @property
+    def light(self) -> dict[str, Any]:
+        """Wavelengths, nm, and weights of the trace by the names of its arguments; None for those of the sources."""
+        return {name: self.arguments.get(name) for name in ("wavelength_nm", "weights")}
+
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Any:
         """
         Trace the scene with `times` the rays that it would have, and return the `Observation`.

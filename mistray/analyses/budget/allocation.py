@@ -289,15 +289,16 @@ def _descend(
     fixed = model.fixed + sum(model.parts[:, k] * float(variables[k].ratio(np.array(start[k]))) for k in held)
     parts = model.parts[:, list(free)] / limits[:, None]
     room = 1 - fixed / limits
-    scale = sum(float(v.cost(np.array(p))) for v, p in zip(chosen, start[list(free)], strict=True))
+    exponents = np.array([v.cost.exponent for v in chosen])  # type: ignore[union-attr]
 
-    def cost(y: np.ndarray) -> float:
-        return sum(float(v.cost(np.exp(t))) for v, t in zip(chosen, y, strict=True)) / scale
+    def costs(y: np.ndarray) -> np.ndarray:
+        return np.array([float(v.cost(np.exp(t))) for v, t in zip(chosen, y, strict=True)])
 
-    def cost_slope(y: np.ndarray) -> np.ndarray:
-        return np.array(
-            [-v.cost.exponent * float(v.cost(np.exp(t))) / scale for v, t in zip(chosen, y, strict=True)]  # type: ignore[union-attr]
-        )
+    def log_cost(y: np.ndarray) -> float:  # which is convex, too, and alike however far the range reaches
+        return float(np.log(np.sum(costs(y))))
+
+    def log_cost_slope(y: np.ndarray) -> np.ndarray:
+        return -exponents * costs(y) / np.sum(costs(y))
 
     def left(y: np.ndarray) -> np.ndarray:
         return np.asarray(room - parts @ np.array([float(v.ratio(np.exp(t))) for v, t in zip(chosen, y, strict=True)]))
@@ -307,13 +308,13 @@ def _descend(
 
     low, high = np.log([v.best for v in chosen]), np.log([v.worst for v in chosen])
     found = minimize(
-        cost,
+        log_cost,
         np.clip(np.log(start[list(free)]), low, high),
-        jac=cost_slope,
+        jac=log_cost_slope,
         method="SLSQP",
         bounds=list(zip(low, high, strict=True)),
         constraints={"type": "ineq", "fun": left, "jac": left_slope},
-        options={"ftol": 1e-10, "maxiter": 500},
+        options={"ftol": 1e-8, "maxiter": 500},
     )
     y = np.clip(found.x, low, high)
     if not found.success or float(np.min(left(y))) < -1e-6:

@@ -19,8 +19,8 @@ class Chosen:
     Roughness, cleanliness level or amplitude of a surface, as the budget has chosen it.
 
     `before` and `after` are its values, `best` and `worst` the ends of its range, all in `unit`; the costs are those of
-    both values. `shares_before` and `shares_after` are the shares, 0 … 1, of each metric that depend on it, from the
-    first and the last gradient.
+    both values. `shares_before` and `shares_after` are the fractions, 0 … 1, of each metric that its scatter makes, by
+    the first gradient and by the model of the last one at the values chosen.
     """
 
     shares_before: tuple[float, ...]

@@ -543,12 +543,14 @@ def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
     """
     Return the width of each parameter's range in its scale, (k,), from the distances to its bounds, (2, k).
 
-    A logarithm, or a parameter with a lower bound alone, is taken to grow a million times. Without a lower bound the
-    width is infinite.
+    Of a logarithm it is the growth of the parameter up to its upper bound, with which data may grow, and the distance
+    to its lower bound. A parameter without an upper bound is taken to grow a million times, and a logarithm to fall no
+    farther. For other scales without a lower bound the width is infinite.
     """
     above = np.where(np.isfinite(room[0]) & (room[0] < 0), FARTHEST * -room[0], np.inf)
     finite = np.all(np.isfinite(room), axis=0)
-    return np.where(power == 0, FARTHEST, np.where(finite, room[1] - room[0], above))
+    down, up = np.minimum([-room[0], room[1]], np.log(FARTHEST))
+    return np.where(power == 0, np.expm1(up) + down, np.where(finite, room[1] - room[0], above))
 
 
 def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

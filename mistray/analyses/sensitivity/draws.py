@@ -113,8 +113,8 @@ def draw_systems(
     Their standard deviation is the tolerance, and they are clipped to the physical range.
 
     All are traced with the same rays, so that differences are due to the parameters alone. If R + T of an ideal coating
-    would exceed 1, what is drawn of them is reduced. A system in which optical surfaces cross, on their axis and
-    without tilts, cannot be put together and is drawn again.
+    would exceed 1, what is drawn of them is reduced. A system in which optical surfaces cross, with the displacements
+    off the axis and the tilts of the nominal one, cannot be put together and is drawn again.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def draw_systems(
             drawn = _possible(rows, drawn, params)
             values = shifted_values(given, lines, drawn.tolist())
             with errors_of(f"perturbed system {len(predicted) + 1}"):
-                fits = _put(metric.scene, params, values)
+                fits = _put(metric.scene, params, values, given)
             if not fits:
                 rejected += 1
                 if rejected > MOST_REJECTED * (len(predicted) + 1):
@@ -236,16 +236,20 @@ class _SystemsTask:
     def do(self, made: Any, part: int) -> float:
         """Trace the system of index `part`, restore the nominal parameters, and return the metric of the system."""
         try:
-            _put(self.metric.scene, made, self.systems[part])
+            _put(self.metric.scene, made, self.systems[part], self.given)
             return _checked(part, self.metric.value)
         finally:
             assign(made, self.given)
 
 
-def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
-    """Set parameters in a scene, off-axis displacements and tilts last; return False if surfaces cross before these."""
+def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray], given: Mapping[str, np.ndarray]) -> bool:
+    """
+    Set parameters in a scene; return False if surfaces cross before they are moved across their axes or tilted.
+
+    `given` has the nominal values, with which off-axis displacements and tilts begin.
+    """
     aside = {key: value for key, value in values.items() if key.rsplit(".", 1)[-1] in OFF_AXIS}
-    assign(params, {**values, **{key: np.zeros_like(value) for key, value in aside.items()}})
+    assign(params, {**values, **{key: given[key] for key in aside}})
     try:
         check_overlaps(scene)
     except MistrayError:

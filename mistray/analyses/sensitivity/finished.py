@@ -120,7 +120,7 @@ class Finished:
                 one_sided={},
             )
             times = float(facts["taken"]["times"])
-            taken = Taken(metric.with_rays_times(times), found=found, **facts["taken"])
+            taken = Taken(metric.with_rays_times(times * metric.times), found=found, **facts["taken"])
             self.check = None if facts["check"] is None else _check(facts["check"])
             self.systems = arrays["systems"].tolist()
         except (KeyError, TypeError, ValueError, AttributeError):
@@ -132,7 +132,7 @@ class Finished:
 
 
 def numbers_hash(params: Any) -> str:
-    """Return a hash of all numeric parameters of a scene, to detect that the scene was changed."""
+    """Return a hash of the numbers in `params` that plugins in Python hold, to detect that the scene was changed."""
     digest = hashlib.sha256()
     for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
         if params.properties[key][1] is None and holds_numbers(value := peek(params, key)):
@@ -144,7 +144,7 @@ def signature_of(metric: Metric, params: Mapping[str, Any], facts: Mapping[str, 
     """
     Return the facts in which a saved run must agree.
 
-    These are the metric, the values of all parameters of its scene, and the arguments in `facts`.
+    These are the metric, the numbers in `params` (see `numbers_hash`), and the arguments in `facts`.
     """
     about = {name: getattr(metric, name) for name in ("name", "field_deg", "wavelength_nm", "weights")}
     return {"metric": about, "settings": dict(metric.settings or {}), **facts, "scene": numbers_hash(params)}

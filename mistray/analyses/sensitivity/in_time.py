@@ -30,7 +30,7 @@ class Taken:
     metric : Metric
         Metric with the rays used, and the plans of its pilots.
     times : float
-        Factor on the rays of the metric, at most 1.
+        Rays used over those of the metric that was asked for, at most 1.
     found : Gradient
         Gradient by parameter.
     seconds : float
@@ -83,7 +83,7 @@ def gradient_in_time(
         return before
     if not steps.limited:
         return _taken(metric, chosen, request, 1.0)
-    first = min(FIRST_RAYS / max(view.rays(metric.scene) for view in metric.views), 1.0)
+    first = min(FIRST_RAYS / (metric.times * max(view.rays(metric.scene) for view in metric.views)), 1.0)
     best, failed = before, None
     tried = None if before is None else (before.times, before.seconds + looks * before.look)
     while (times := _next(tried, first, part * steps.left)) is not None:
@@ -124,7 +124,7 @@ def _next(tried: tuple[float, float] | None, first: float, left: float) -> float
 def _taken(metric: Metric, chosen: Mapping[str, Parameter], request: GradientRequest, times: float) -> Taken:
     """Return the gradient of a metric with `times` its number of rays, and the time that it took, s."""
     began = time.perf_counter()
-    metric = metric if times == metric.times else metric.with_rays_times(times)
+    metric = metric if times == 1 else metric.with_rays_times(times * metric.times)
     seen = metric.observe()
     look = time.perf_counter() - began
     found = gradient_where_smooth(metric, seen, chosen, request)

@@ -22,7 +22,7 @@ class Contribution:
     change: Estimate = column(
         "change of ln(metric) when all members change by one tolerance in the same sense", percent=True
     )
-    share: Estimate = column("share of the variance, 0 … 1; NaN where the variance is 0")
+    share: Estimate = column("share of the variance, by noise perhaps above 1; NaN unless that is above 0")
 
 
 @dataclass(frozen=True)
@@ -84,16 +84,20 @@ def propagate(
     total = batches.sum(axis=0)
     noise = batch_error(batches.T, rays)
     variance = float(np.sum(total**2 - noise**2))
-    se = math.sqrt(
-        float(batch_error(2 * batches @ total, rays)) ** 2
-        + 2 * float(np.sum(noise**4))  # of the squares of what is mostly noise
-    )
-    found = []
-    for (name, members), c, own in zip(parts, total, noise, strict=True):
-        share = Estimate(math.nan, math.nan)
-        if variance > 0:
-            share = Estimate(max(c * c - own * own, 0.0) / variance, math.hypot(2 * c * own, own * own) / variance)
-        change = Estimate(float(c), float(own))
-        found.append(Contribution(name, tuple(labels[number] for number in members), change, share))
+    squares = 2 * batches * total  # of each batch to the errors of the squares
+    spread = np.square(batch_error(squares.sum(axis=1), rays)) + 2 * np.sum(noise**4)  # the latter if mostly noise
+    shares = np.full((2, len(parts)), math.nan)
+    if variance > 0:
+        share = np.maximum(total**2 - noise**2, 0.0) / variance
+        # A square and the sum of all have errors in common, which cancel
+        apart = batch_error((squares - np.outer(squares.sum(axis=1), share)).T, rays)
+        faint = 2 * ((1 - share) ** 2 * noise**4 + share**2 * (np.sum(noise**4) - noise**4))
+        shares = np.stack([share, np.sqrt(apart**2 + faint) / variance])
+    found = [
+        Contribution(
+            name, tuple(labels[number] for number in members), Estimate(float(c), float(own)), Estimate(*share.tolist())
+        )
+        for (name, members), c, own, share in zip(parts, total, noise, shares.T, strict=True)
+    ]
     found.sort(key=lambda item: -abs(item.change.value))
-    return MetricSpread(tuple(found), Estimate(variance, se), float(np.sum(noise**2)))
+    return MetricSpread(tuple(found), Estimate(variance, math.sqrt(spread)), float(np.sum(noise**2)))

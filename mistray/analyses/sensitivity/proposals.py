@@ -74,7 +74,8 @@ class TracedChange:
     traced : Estimate
         Factor by which the metric is smaller; infinite if nothing is left of it.
     image : Estimate or None
-        Power of the direct image over that before, at the sources' own field; None if there is no direct image.
+        Power of the direct image over that before, at the sources' own field, in the light of the metric's first trace;
+        None if there is no direct image.
     gaps : tuple of Gap
         Surfaces that meet before and are apart after, see `mistray.metrics.changes.gaps`.
     entering : mapping of str to tuple of Entering
@@ -114,10 +115,8 @@ def traced_change(
         None if there is no time for two seeds.
     """
     first = metric.independent_seed
-    image = transmission(
-        metric.scene, rays=IMAGE_RAYS, max_reflections=0, max_scatters=0, wavelength_nm=metric.wavelength_nm,
-        weights=metric.weights,
-    )  # fmt: skip
+    light = metric.views[0].light
+    image = transmission(metric.scene, rays=IMAGE_RAYS, max_reflections=0, max_scatters=0, **light)
     pairs, images = list[tuple[float, float]](), list[tuple[float, float]]()
     contacts, gaps = Contacts(metric.scene), tuple[Gap, ...]()
     lights: list[dict[str, FirstLight]] = [{}, {}]

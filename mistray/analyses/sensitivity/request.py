@@ -42,7 +42,7 @@ METRICS: dict[str, tuple[str, ...]] = {
 """Metrics and the arguments that they take; some need the first."""
 NEED_FIRST = ("relative_illumination", "pst_bin", "pst_band", "veiling_glare")
 OWN = ("paths", "field_deg", "band_deg", "patch_deg", "light")
-KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index")
+KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index", "source")
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,7 @@ def run(
     groups = _groups(known, lines, request.together)
     not_traced = [] if taken.times == 1 else [f"{1 - taken.times:.3%} of the rays".replace("%", " %")]
     table = LineNumbers.of(found, lines, [limits[line.label] for line in lines])
-    wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
+    wavelengths = {float(nm) for view in metric.views for nm in spectrum_of(metric.scene, **view.light)[0]}
 
     def traceable() -> None:
         """
@@ -135,7 +135,7 @@ def run(
         Do nothing if no parameter is a share of light or one of a scatter model.
         """
         for wavelength in wavelengths if {"share", "scatter"} & {one.kind for one in known.values()} else ():
-            ScatterTables(SurfaceTable(metric.scene, float(wavelength)), {})
+            ScatterTables(SurfaceTable(metric.scene, wavelength), {})
 
     reachable = table.accepted(given, table.reachable(free, request.reach), traceable)
     rows = table.rows(free, reachable, request.factor)

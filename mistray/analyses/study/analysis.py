@@ -15,7 +15,7 @@ from mistray.analyses.pst.causes import Break, breaks, cause_frame, first_level_
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.image import transfer_facts, transfer_findings, transfer_tables
-from mistray.analyses.study.step import Fact, StudyStep, gathered
+from mistray.analyses.study.step import Fact, StudyStep, count_of, gathered
 from mistray.analyses.transfer.result import Transfer
 from mistray.ids import event_words
 from mistray.percent import percent_text
@@ -49,7 +49,7 @@ def stray_light_analysis(
     first : FirstOrder, optional
         First-order data of the system; without it the PST on axis is not compared with its closed form.
     transmittance : float
-        Transmittance of the design path at normal incidence, 0 … 1; NaN if unknown.
+        Transmittance of the design path along its base ray, 0 … 1, mean over the light; NaN if unknown.
     design : sequence of str
         Ids of the surfaces of the design path.
     images : Transfer or str
@@ -269,10 +269,9 @@ def _level_findings(pst: Pst, first: FirstOrder | None, transmittance: float) ->
         return []
     angle = pst.field_deg
     last = int(np.flatnonzero(value > 0)[-1])
-    found = [
-        f"PST ({pst.convention}) falls from {value[0]:.3g} at {angle[0]:g}° to {value[last]:.2g} at {angle[last]:g}°; "
-        f"stray light alone from {pst.stray[0]:.2g} to {pst.stray[last]:.2g}."
-    ]
+    to = f" to {value[last]:.2g} at {angle[last]:g}°" if last else ""
+    stray = f"{pst.stray[0]:.2g}" + (f" to {pst.stray[last]:.2g}" if last else "")
+    found = [f"PST ({pst.convention}): {value[0]:.3g} at {angle[0]:g}°{to}; stray light alone {stray}."]
     direct, direct_se = pst.curve("direct")
     if angle[0] != 0 or not direct[0] > 0:
         return found
@@ -354,8 +353,9 @@ def _zero_order_finding(shots: pd.DataFrame) -> list[str]:
         return ["No zero-order path: light comes to the detector as an image, by reflection or by scatter only."]
     worst = shots.sort_values("pst", ascending=False).iloc[0]
     low, high = shots.angle_deg.min(), shots.angle_deg.max()
+    where = f"{low:g}-{high:g}°" if high > low else f"{low:g}°"
     return [
-        f"Zero-order paths at {low:g}-{high:g}°: {shots.path.nunique()} ways past or through the optics without "
+        f"Zero-order paths at {where}: {count_of(shots.path.nunique(), 'way')} past or through the optics without "
         f"scatter or reflection; the strongest ({worst.way}) has a PST of {worst.pst:.2g} at {worst.angle_deg:g}°."
     ]
 

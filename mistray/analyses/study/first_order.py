@@ -59,11 +59,12 @@ class FirstOrder:
     stop : str
         Id of the surface that blocks the light just outside the pupil; "-" if there is none.
     f_number : float
-        Working F-number of the image, 1/(2 n sin u); ``inf`` if afocal. n is the index before the detector, and u the
-        angle there between the light from the edge of the pupil and the base ray.
+        Working F-number of the image, 1/(2 n sin u); ``inf`` if afocal, NaN if no such light arrives. n is the index
+        before the detector, and u the angle there between the light from the edge of the pupil and the base ray.
     field_deg : dict
-        Field angles, degrees, whose base ray meets the detector's edges: "x" and "y" (half width and half height)
-        and "diagonal" (its corner); NaN if there is none below 89°. For a round detector all are the same.
+        Field angles, degrees, that move the base ray on the detector by half of its width ("x"), of its height ("y") or
+        of its diagonal ("diagonal"), to its edges and corner if the ray at 0° meets its middle. NaN if there is none
+        below 89°. For a round detector all are the same.
     near : bool
         Whether the object is near; the pupil is then that of a point, in the plane of the origin of its frame.
     """
@@ -235,11 +236,7 @@ def _off_axis(centre: np.ndarray, source: SceneSource) -> float:
 
 
 def _field(scene: Any, path: DesignPath) -> dict[str, float]:
-    """
-    Return the field angles, degrees, whose base rays meet the detector's edges "x" and "y" and its corner "diagonal".
-
-    Each is NaN if no field below 89° meets it.
-    """
+    """Return the field angles "x", "y" and "diagonal", degrees, of `FirstOrder.field_deg`."""
     detector = outline(path.table.shapes[path.table.detector])
     half = np.stack([detector.u, detector.v], axis=1)
     size = np.linalg.norm(half, axis=0)

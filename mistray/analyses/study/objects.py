@@ -23,11 +23,11 @@ def source_angles(field_deg: Sequence[float], largest_deg: float) -> list[float]
     """
     Return source angles, degrees, for illuminated objects, sorted.
 
-    They are the absolute field angles, and those of `SOURCE_ANGLES_DEG` beyond the fields up to `largest_deg`, the
-    largest angle of the PST.
+    They are the field angles, and those of `SOURCE_ANGLES_DEG` beyond the fields of either sign up to `largest_deg`,
+    the largest angle of the PST.
     """
-    beyond = [angle for angle in SOURCE_ANGLES_DEG if angle <= largest_deg and angle > max(field_deg, default=0.0)]
-    return sorted({abs(float(field)) for field in field_deg} | set(beyond))
+    beyond = [angle for angle in SOURCE_ANGLES_DEG if max(map(abs, field_deg), default=0.0) < angle <= largest_deg]
+    return sorted({*map(float, field_deg), *beyond})
 
 
 def object_steps(found: Objects) -> tuple[StudyStep, StudyStep, StudyStep]:

@@ -24,13 +24,13 @@ from mistray.analyses.study.objects import object_steps, source_angles
 from mistray.analyses.study.request import StudyRequest
 from mistray.analyses.study.result import Study
 from mistray.analyses.study.step import StudyStep
-from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
+from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling, transmittance
 from mistray.analyses.transfer.result import Transfer
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
-from mistray.sampling.sources import scene_sources
+from mistray.sampling.sources import scene_sources, spectrum_of
 from mistray.settings import NO_LIMIT, polarized_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
@@ -178,10 +178,12 @@ def run(
             **light,
             **given,
         )
-    transmittance = steps[5].fact("transmittance of the design path") if path is not None else math.nan
-    assert isinstance(transmittance, float)
-    design = [table.ids[step.surface] for step in path.steps] if path is not None else []
-    done(stray_light_analysis(report, curve, numbers, transmittance, design, images))
+    passed, design = math.nan, list[str]()
+    if path is not None:  # of all the light, as the PST is
+        lines = zip(*spectrum_of(scene, light.get("wavelength_nm"), light.get("weights")), strict=True)
+        passed = sum(float(part) * transmittance(SurfaceTable(scene, float(nm)), path) for nm, part in lines)
+        design = [table.ids[step.surface] for step in path.steps]
+    done(stray_light_analysis(report, curve, numbers, passed, design, images))
     settings = {"rays": count, **_angles_and_light(report, curve), **asked, **given}
     seen_images = images if isinstance(images, Transfer) else None
     return Study(scene, name, tuple(steps), settings, numbers, seen, report, curve, seen_images)

@@ -36,7 +36,7 @@ def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyS
     ]
     findings = []
     if path is not None:
-        through = float(np.prod([share_along(table, step) for step in path.steps[:-1]]))
+        through = transmittance(table, path)
         facts.append(Fact("transmittance of the design path", through))
         findings.append(
             f"At normal incidence {100 * through:.4g} % of the light passes the optics of the design path; the "
@@ -61,6 +61,11 @@ def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyS
         tables={"treatments": treatments, "surface_budget": frame, "scatter_models": models},
         findings=tuple(findings),
     )
+
+
+def transmittance(table: SurfaceTable, path: DesignPath) -> float:
+    """Return the fraction, 0 … 1, of the light along the base ray that reaches the detector by the design path."""
+    return float(np.prod([share_along(table, step) for step in path.steps[:-1]]))
 
 
 def importance_sampling(

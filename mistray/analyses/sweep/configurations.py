@@ -35,7 +35,10 @@ class Configuration:
     values : mapping of str to float or sequence of float
         Parameters and their values in their units: keys of ``mi.traverse(scene)``, names of groups such as
         ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?`` and ``[…]``.
-        A single value stands for all entries of a parameter. If two name the same key, the later one holds.
+        A single value stands for all entries of a parameter. That of a group is for its first key, from which the
+        others keep their differences. If two name the same key, the later one holds. The displacement or tilt of a part
+        that is no group, such as ``L1.tilt_x``, is added to the positions and tilts of its surfaces, see
+        `mistray.optimize.bodies`.
     paint, coat : mapping
         Paint and coatings as in `mistray.coat`, by names or patterns of surfaces or parts; for `sweep_pst`.
     block : sequence of Structure
@@ -164,8 +167,12 @@ def _resolved(
             (amount,) = _numbers(given.name, name, value, peek(params, rigid[part].keys[0]))
             motions.setdefault(part, {})[motion] = float(amount)
             continue
-        for key in _keys(given.name, name, params, [*together, *(f"{p}.{m}" for p in rigid for m in POSE)], together):
+        named = [*together, *(f"{p}.{m}" for p in rigid for m in POSE)]
+        for key, first in _keys(given.name, name, params, named, together).items():
             values[key] = _numbers(given.name, key, value, peek(params, key))
+            if key != first:
+                apart = known[key].value - known[first].value
+                values[key] = _numbers(given.name, key, values[key] + apart, peek(params, key))
     for part, amounts in motions.items():
         for key, change in rigid[part].moved(amounts).items():
             now = values.get(key, known[key].value)
@@ -175,20 +182,21 @@ def _resolved(
 
 def _keys(
     configuration: str, name: str, params: Any, named: Sequence[str], together: Mapping[str, list[str]]
-) -> list[str]:
+) -> dict[str, str]:
+    """Return the keys that a name stands for, each with the key of which the number is: of a group its first."""
     if name in params:
-        return [name]
+        return {name: name}
     if name in together:
-        return together[name]
+        return dict.fromkeys(together[name], together[name][0])
     keys = list(params.keys())
-    found = {key: None for key in keys if fits(key, name) and holds_numbers(peek(params, key))}
+    found = {key: key for key in keys if fits(key, name) and holds_numbers(peek(params, key))}
     for group, members in together.items():
         if fits(group, name):
-            found |= dict.fromkeys(members)
+            found |= {key: members[0] for key in members if key not in found}
     if not found:
         hint = nearest_parameters(name, [*keys, *named])
         raise MistrayError(f"configuration '{configuration}': the scene has no parameter '{name}'; {hint}")
-    return list(found)
+    return found
 
 
 def _numbers(configuration: str, key: str, value: Any, now: Any) -> npt.NDArray[np.float64]:

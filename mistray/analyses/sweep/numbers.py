@@ -49,10 +49,10 @@ def numbers_of(t: Trace) -> Numbers:
     Returns
     -------
     dict
-        ``rays`` (start rays), ``paths``, ``launched_W``, ``detected_W``, ``direct_W``, ``stray_W`` (all but the direct
-        image) and the power of every kind of `KIND_COLUMNS`; ``ghost_to_signal`` (stray_W over direct_W; NaN out of
-        field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of the highest
-        RMS irradiance in words (None without stray paths), with its ``worst_events``, ``worst_power_W``,
+        ``rays`` (start rays), ``paths`` (their number), ``launched_W``, ``detected_W``, ``direct_W``, ``stray_W`` (all
+        but the direct image) and the power of every kind of `KIND_COLUMNS`; ``ghost_to_signal`` (stray_W over direct_W;
+        NaN out of field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of
+        the highest RMS irradiance in words (None without stray paths), with its ``worst_events``, ``worst_power_W``,
         ``worst_rms_radius_mm`` and ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. Radii, irradiances, the
         ratio, and powers but the launched and the cut one have a standard error, ``_se`` before the unit.
         ``polarization``, ``polarization_reason`` and ``polarization_change`` (NaN if it was not measured) are those of

@@ -75,7 +75,9 @@ def values_text(result: Sweep, configuration: str, most: int = 4) -> str:
 
 
 def record(result: Sweep) -> dict[str, Any]:
-    """Return the complete result of a sweep as JSON-serialisable values."""
+    """Return the complete result of a sweep as JSON-serialisable values; rows that were not traced have no numbers."""
+    rows = [{**result.shown(row), "entering": result.entering(*(row[key] for key in CELL))} for row in result.rows]
+    rows += [dict.fromkeys(rows[0]) | dict(zip(CELL, cell, strict=True)) for cell in result.not_traced]
     record = {
         "configurations": [
             {
@@ -88,8 +90,7 @@ def record(result: Sweep) -> dict[str, Any]:
             }
             for one in result.configurations
         ],
-        "rows": [{**result.shown(row), "entering": result.entering(*(row[key] for key in CELL))} for row in result.rows]
-        + [dict.fromkeys(result.rows[0], None) | dict(zip(CELL, cell, strict=True)) for cell in result.not_traced],
+        "rows": rows,
         "gaps": {name: gaps for name, gaps in result.gaps.items() if gaps},
         "settings": result.arguments,
         "cache": None if result.cache_folder is None else str(result.cache_folder),

@@ -99,10 +99,11 @@ def run(
     angles = _angles(loaded, request.field_deg, azimuth_deg, wavelengths[0])
     arguments = ({} if azimuth_deg is None else {"azimuth_deg": azimuth_deg}) | dict(request.settings)
     cells = [Cell(one, wavelength, angle) for one in chosen for wavelength in wavelengths for angle in angles]
+    asked = Settings.of(loaded, **request.settings)
     store, warnings = _cache_of(source, loaded, cache)
     kept = None
     if store is not None and contents is not None:
-        kept = KeptRows(store, contents, traced_facts(contents, Settings.of(loaded, **request.settings), azimuth_deg))
+        kept = KeptRows(store, contents, traced_facts(contents, asked, azimuth_deg))
     found = kept.read(cells) if kept is not None else {}
     reused, short = len(found), list[Cell]()
     contacts = Contacts(loaded) if any(one.values for one in chosen) else None
@@ -138,7 +139,7 @@ def run(
         try:
             with shares.one():
                 found[cell] = _traced(loaded, cell, arguments, part)
-                unfinished = time_is_up()
+                unfinished = time_is_up() and found[cell]["rays"] < asked.rays
         except UnfinishedError as error:
             raise UnfinishedError(f"{cell}: {error}", result()) from None
         except MistrayError as error:
@@ -229,12 +230,12 @@ def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> t
 
 def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> list[float]:
     """
-    Return the wavelengths of a sweep, nm: the given ones without duplicates, or those of the scene's source.
+    Return the wavelengths of a sweep, nm: the given ones, or those of the scene's source.
 
     Raises
     ------
     MistrayError
-        If the sources have several spectra and no wavelength is given.
+        If a wavelength is given twice, or none is given and the sources have several spectra.
     """
     if wavelength_nm is None and len({tuple(source.wavelengths_nm) for source in source_emitters(scene)}) > 1:
         raise MistrayError("sweep: the sources of the scene have several spectra; give wavelength_nm")

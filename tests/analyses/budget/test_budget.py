@@ -207,8 +207,9 @@ class TestByHand:
     def test_exponents_and_several_limits(self) -> None:
         weights, factors, q = np.array([1.0, 2.0, 9.0]), np.array([1.0, 4.0, 0.2]), 2.5
         model = Model(np.zeros(1), (factors * AS_GIVEN**2)[None, :])
-        found = allocate([polish(w, exponent=q) for w in weights], model, np.array([10.0]))
-        assert found == pytest.approx(by_hand(weights, factors, 10.0, q), rel=1e-5)
+        for low in (0.01, 1e-6):
+            found = allocate([polish(w, low, exponent=q) for w in weights], model, np.array([10.0]))
+            assert found == pytest.approx(by_hand(weights, factors, 10.0, q), rel=1e-4)
         # Nothing to do is the cheapest; each of two metrics sees one surface
         model = Model(np.array([1.0]), np.array([[1.0, 1.0]]))
         assert allocate([polish(high=8.0), polish(high=6.0)], model, np.array([100.0])) == pytest.approx([8.0, 6.0])

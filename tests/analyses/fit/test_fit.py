@@ -190,6 +190,19 @@ class TestUntold:
         assert found.distance({"steep": BEST + HALF, "y": -99.0}) == pytest.approx(3.841459, rel=1e-5)
         assert not found.covers({"steep": BEST + 1.01 * HALF, "y": -99.0})
 
+    @pytest.mark.parametrize("power", [0.0, 1.0])
+    def test_a_factor_without_effect_within_its_bounds_stays(self, power):
+        """From 1/100 to 100 it moves the data by 2e-4 standard errors."""
+
+        def model(values):
+            by = 1e-6 * np.sin(X)
+            jacobian = np.stack([X, by / values[1]], axis=1)
+            return Modelled(values[0] * X + 1 + by * np.log(values[1]), np.zeros((12, 12)), jacobian)
+
+        bounds = {"low": (-np.inf, 0.01), "high": (np.inf, 100.0)}
+        found = fit(model, LINE, np.full(12, 0.1), {"steep": 1.0, "factor": 1.0}, power=(1, power), **bounds)
+        assert (found.estimate["factor"], found.untold) == (1.0, {"factor": ()})
+
     @pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
     def test_a_start_of_almost_nothing_is_no_lack_of_effect(self, power):
         """It begins 1e-4 standard errors above its bound, where it hardly changes a thing."""

@@ -19,7 +19,7 @@ from refusals import each_refused, refused
 import mistray
 from mistray import load
 from mistray.analyses.optimize.reflectance_weights import best_thicknesses, reflectance_weights
-from mistray.analyses.optimize.study.comparison import ComparisonCell, Levels, compare, worse
+from mistray.analyses.optimize.study.comparison import ComparisonCell, Levels, _cells, compare, worse
 from mistray.analyses.optimize.study.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
 from mistray.analyses.optimize.study.merit import Merit, seed_of
 from mistray.analyses.optimize.study.study_scene import open_scene, place
@@ -283,6 +283,15 @@ def test_value(scene: Any, goal: str) -> None:
     assert found == pytest.approx(expected, rel=1e-6)
     extreme = max(alone.values()) if goal == "minimise" else min(alone.values())
     assert extreme * 6 ** min(sign / NORM, 0) <= found <= extreme * 6 ** max(sign / NORM, 0)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("field_deg", [12, 12.0, [12.0], np.array([12.0])])
+def test_light_from_python(field_deg: Any) -> None:
+    light = {"field_deg": field_deg, "wavelength_nm": np.array([450.0, 550.0]), "weights": [1, 2]}
+    cells = _cells(Term("ghosts", "path_power", traced=light), None)
+    assert [(cell.field_deg, cell.wavelength_nm) for cell in cells] == [(None, None), (None, 450.0), (None, 550.0)]
+    assert [metric.field_deg for metric in cells.values()] == [(12.0,)] * 3
 
 
 def test_gradient(scene: Any) -> None:

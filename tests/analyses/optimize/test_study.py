@@ -82,8 +82,9 @@ class TestReading:
         adam = read_study(changed("optimizer.method", "adam")).optimizer
         assert (adam.method, adam.patience) == ("adam", 10)
         # An entry of a list, a range of wavelengths, a thickness in waves of design_nm
-        (group, _) = read_study(changed("variable.0.parameters", ["AR.thickness_nm[2]", "vane_[12].r0"])).variables
-        assert group.parameters == (Moved("AR.thickness_nm", 2), Moved("vane_[12].r0"))
+        keys = ["AR.thickness_nm[2]", "vane_[12].r0", "vane_1.r[01]"]
+        (group, _) = read_study(changed("variable.0.parameters", keys)).variables
+        assert group.parameters == (Moved("AR.thickness_nm", 2), *map(Moved, keys[1:]))
         study = changed("trace.wavelength_nm", {"start": 450, "stop": 500, "step": 12.5})
         del study["trace"]["weights"]
         assert read_study(study).terms[0].traced["wavelength_nm"] == (450.0, 462.5, 475.0, 487.5, 500.0)

@@ -9,15 +9,17 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 from refusals import each_refused, refused
 
 import mistray
-from mistray.analyses.sensitivity import draws
+from mistray.analyses.sensitivity import draws, request
 from mistray.analyses.sensitivity.page import notes
 from mistray.analyses.sensitivity.propagation import propagate
 from mistray.analyses.sensitivity.proposals import free_keys
-from mistray.optimize import parameters, path_power, sensitivity
+from mistray.metrics.parameters import KINDS
+from mistray.optimize import parameters, path_power, pst_bin, sensitivity
 
 R, T = 0.1, 0.8
 RS, TS = [[f"p0_{face}.bsdf.{name}" for face in ("front", "rear")] for name in "RT"]
@@ -127,6 +129,25 @@ def test_a_detector_stays_lit() -> None:
     assert row.to_value == pytest.approx(0.2 + 0.999 * 0.8, rel=1e-6)
 
 
+def test_kinds_that_can_be_chosen() -> None:
+    assert request.KINDS == KINDS
+
+
+@pytest.mark.long
+def test_ranges_at_the_wavelengths_of_a_pst(load_scene) -> None:
+    """σ grows from 30 nm to 42 nm, a tenth of its reach, at 550 nm, and not at 400 nm: 2π Δn σ/λ is at most 0.25."""
+    polish = bsdf_xml("harvey_shack", rms_nm=30.0, l=0.05, s=-2.0, event="transmission")
+    polished, black = scattering_xml([polish], "air", "1.5", R=0.04, T=0.96), interface_xml("1.5", R=0.0)
+    front = shape_xml("asphere", "front", 0.0, polished, semi_diameter=20.0)
+    detector = shape_xml("asphere", "detector", 30.0, black, sensor=True, half_width=5.0, half_height=5.0)
+    scene, found = load_scene(scene_text(front, detector)), []
+    asked: dict[str, Any] = {"keys": "*rms_nm", "change": "*rms_nm", "tolerances": {"*rms_nm": 2.0}, "reach": 60.0}
+    for nm in (550.0, 400.0):
+        metric = pst_bin(scene, 0.0, "direct", wavelength_nm=nm, rays=1000)
+        found.append(sensitivity(metric, check=False, **asked).rows[0].to_value)
+    assert found == pytest.approx([42.0, 30.0], rel=1e-6)
+
+
 def test_what_changes_together(plate: Any) -> None:
     """Perturbed indices lose no light between the surfaces of a plate; a part moves as a whole."""
     found = sensitivity(path_power(plate, "direct", **SETTINGS), keys=["p0_front.bsdf.n_*"], check=False, monte_carlo=2)
@@ -165,6 +186,19 @@ def test_systems_that_cross_are_drawn_again(load_scene, monkeypatch: pytest.Monk
     monkeypatch.setattr(draws, "_put", lambda *_: False)
     with refused("21 of 21 perturbed systems have surfaces that cross"):
         sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=2)
+
+
+@pytest.mark.long
+def test_systems_beside_each_other(load_scene) -> None:
+    """Two faces that their `x` keeps apart; without it they would cross."""
+    sides = ("left", 0.02, 6.0), ("right", -0.02, -6.0)
+    face = interface_xml("air", "1.5", R=0.1, T=0.8)
+    faces = [shape_xml("asphere", name, 0.0, face, semi_diameter=5.0, curvature=c, x=x) for name, c, x in sides]
+    detector = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=12.0, half_height=8.0)
+    scene = load_scene(scene_text(*faces, detector, radius=12.0))
+    keys = ["left.x", "right.x", "right.z"]
+    found = sensitivity(path_power(scene, "all", rays=64), keys=keys, check=False, monte_carlo=2)
+    assert found.draws.rejected == 0
 
 
 def test_a_table_has_all(plate: Any, table: Any) -> None:
@@ -232,6 +266,13 @@ class TestInTime:
             by=lambda light, traced: sensitivity(path_power(plate, light, **traced), resume=True, **saved),
         )
 
+    def test_a_multiple_of_the_rays(self, tmp_path: Path) -> None:
+        metric = path_power(mistray.load("lens_and_window"), "ghost", rays=64).with_rays_times(4.0)
+        saved: dict[str, Any] = {"keys": "detector.bsdf.R", "check": False, "state": tmp_path / "state.npz"}
+        found = [sensitivity(metric, resume=resume, **saved).value.value for resume in (False, True)]
+        assert found == pytest.approx([metric.value()] * 2, rel=1e-6)
+        assert found[0] != pytest.approx(metric.with_rays_times(1.0).value(), rel=1e-4)
+
     def test_what_has_no_time_is_listed(self, plate: Any, tmp_path: Path) -> None:
         """The closed form from fewer rays; systems that are not traced are not there; going on traces them."""
         metric = path_power(plate, "ghost", rays=2_000_000, max_reflections=2)
@@ -298,7 +339,8 @@ def test_closed_forms_and_noise() -> None:
     assert found[0].noise == pytest.approx(2.0, rel=0.2)
     # The spread over 300 draws is the error: χ² with 299 degrees of freedom, false-alarm probability 1e-6 a side
     found = [propagate(["a", "b", "c"], batches([1.0, -4.0, 0.5], 0.2, seed), [("g", [1, 2])]) for seed in range(300)]
-    values = np.array([[*spread.variance, *spread.contributions[0].change] for spread in found])
-    for value, se in ((0, 1), (2, 3)):
+    first = [spread.contributions[0] for spread in found]
+    values = np.array([[*s.variance, *own.change, *own.share] for s, own in zip(found, first, strict=True)])
+    for value, se in ((0, 1), (2, 3), (4, 5)):
         ratio = values[:, value].var(ddof=1) / np.mean(values[:, se] ** 2)
         assert 0.65 < ratio < 1.48, ratio

@@ -111,6 +111,13 @@ class TestReuse:
         found = mistray.sweep(lens, cache=kept, **ASKED)
         assert [row["number"] for row in found.rows] == [1, 2, 3, 0]
 
+    def test_the_time_ends_with_all_rays_of_a_row(
+        self, lens: Path, kept: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(sweeping, "time_is_up", lambda: True)
+        assert [mistray.sweep(lens, cache=kept, **ASKED).reused for _ in range(2)] == [0, 4]
+        assert mistray.sweep(lens, cache=kept, **ASKED).warnings == ()
+
     def test_rows_before_an_error_are_kept(self, lens: Path, kept: Path) -> None:
         """A wavelength at which the glass is not known."""
         with refused(r"configuration 'a', field 0 deg, 900 nm: .*glass\.csv"):

@@ -241,6 +241,16 @@ def test_a_move(tmp_path, scene: str, key: str, step: float) -> None:
         np.testing.assert_allclose(after[name] - before[name], step, atol=1e-5)
 
 
+@pytest.mark.parametrize("name", ["L.y", "?.y"])
+def test_faces_that_stand_apart_move_along(load_scene, name: str) -> None:
+    part = '<string name="part" value="L"/><transform'
+    sides = ("front", 0.0, 1.0, ("air", "1.5")), ("rear", 3.0, 1.25, ("1.5", "air"))
+    faces = [shape_xml("asphere", side, z, interface_xml(*own), semi_diameter=4.0, y=y) for side, z, y, own in sides]
+    scene = load_scene(scene_text(*(face.replace("<transform", part) for face in faces)))
+    (found,) = resolve(scene, mi.traverse(scene), [sweeps.Configuration("moved", {name: 5.0})])
+    assert found.values == {"front.y": [5.0], "rear.y": [5.25]}
+
+
 def test_paint_and_a_value_from_the_shell(capsys, tmp_path) -> None:
     file = tmp_path / "edited.xml"
     edit = ("--set", "tube_vane_3.z=1.5", "--paint", "tube_vane_2=R=0.3")

@@ -19,12 +19,15 @@ from mistray.errors import MistrayError
 from mistray.ranges import (
     ANYTHING,
     EDGE_WIDTH,
+    FIELD_DEG,
     FINITE,
     FLAG,
     LAYER_NM,
     POINT_MM,
     POSITIVE,
     TEXT,
+    WAVELENGTH_NM,
+    WEIGHT,
     ByName,
     Interval,
     OfType,
@@ -37,6 +40,7 @@ from mistray.scene.xml_file import possible_names
 from mistray.toolkit.fields import Request, field, field_of
 
 LIMITED = ("at_least", "at_most")  # goals
+OF_LIGHT = {"field_deg": FIELD_DEG, "wavelength_nm": WAVELENGTH_NM, "weights": WEIGHT}
 DESIGN_NM = Range(1.0, 1e9, unit="nm")
 COUNT = Range(1, 100, whole=True)
 PATIENCE = {"sqp": 3, "lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps, by method
@@ -97,6 +101,9 @@ class Term(Request):
         super().__post_init__()
         for name, example in (("own", "{'selection': 'ghost'}"), ("traced", "{'rays': 10_000}")):
             ByName(ANYTHING, example).check(name, getattr(self, name))
+        light = {key: self.traced[key] for key in OF_LIGHT if self.traced.get(key) is not None}  # one or several
+        several = {key: tuple(OF_LIGHT[key].check_each(key, value)) for key, value in light.items()}
+        object.__setattr__(self, "traced", {**self.traced, **several})
         given = [key for key in ("limit", "limit_of_start") if getattr(self, key) is not None]
         if self.goal in LIMITED and len(given) != 1:
             what = f"{given[1]} is one limit too many" if given else "limit is missing"

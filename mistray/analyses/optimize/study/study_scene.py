@@ -85,7 +85,7 @@ def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
     """
     if not study.coatings:
         return ()
-    wavelengths = {nm for term in study.terms for nm in np.atleast_1d(term.traced.get("wavelength_nm") or []).tolist()}
+    wavelengths = {nm for term in study.terms for nm in term.traced.get("wavelength_nm") or ()}
     wavelengths |= set(band(scene, study)[0])
     nm = min(wavelengths)
     shapes = {shape.id(): shape for shape in scene.shapes()}

@@ -26,7 +26,8 @@ PRESENT_NM = 5.0  # total thickness at which a material counts as 63 % of one
 LIGHT = ("wavelength_nm", "weights")
 # Arguments of a trace or of a PST that a metric sets itself, or cannot have
 FIXED = ("scene", "seed", "field_deg", "method", "convention", "relative_error", "error_up_to_deg", "paths",
-         "map_pixels", "state", "resume", "progress", "settings", "ledger")  # fmt: skip
+         "map_pixels", "state", "resume", "progress", "settings", "ledger", "seconds", "recorders",
+         "next_order")  # fmt: skip
 RAYS, FLUX_THRESHOLD = 10_000, 0.0  # of traces, unless the study says otherwise
 
 Thicknesses = Mapping[str, np.ndarray]  # by name of the coating, (layers,) nm
@@ -113,7 +114,7 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
     """
     Return the names of the trace settings that a kind of term accepts.
 
-    The seed is left out, as the optimizer sets it. A kind on coating layers accepts none.
+    Those in `FIXED` are left out, such as the seed, which the optimizer sets. A kind on coating layers accepts none.
     """
     if kind in OF_LAYERS:
         return ()

@@ -9,7 +9,7 @@ from typing import Any
 from mistray.analyses.optimize.study.model import Moved, VariableGroup
 from mistray.toolkit.toml_section import TomlSection, keys_of
 
-ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>\d+)\]")
+ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>0|[1-9]\d*)\]")  # [01] is a pattern
 
 
 def read_variable(section: TomlSection) -> VariableGroup:
