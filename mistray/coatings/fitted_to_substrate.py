@@ -40,9 +40,10 @@ class FittedPreset:
     Attributes
     ----------
     stack : Stack
-        Stack with the fitted thicknesses; as designed, if the body is like that of the design.
+        Stack with the fitted thicknesses; as designed if `changed` is False.
     changed : bool
-        Whether the thicknesses differ from those of the design.
+        Whether the thicknesses differ from those of the design: not for a body like that of the design, for a single
+        layer, or where no better thicknesses were found.
     low_nm, high_nm : float
         Limits of the band, nm.
     reached, designed, bare : float
@@ -134,7 +135,9 @@ def _fitted(stack: Stack, body: str, design_nm: float, indices: tuple[complex, .
 @lru_cache(maxsize=256)
 def unfitted(stack: Stack, body: str) -> str:
     """
-    Return a remark if a preset, as designed, leaves much more reflectance on this body than on its own; else "".
+    Return a remark if a preset as designed leaves much more reflectance on `body` than on the body of its design.
+
+    The result is "" if it does not, or the layers of `stack` are not those of a preset.
 
     Layers are those of a preset if their materials agree, and their thicknesses agree up to a common factor.
     """

@@ -191,7 +191,8 @@ def table(
     Parameters
     ----------
     model, angles_deg, event, light
-        Parameters of `scan`; the rotation in `light` is not used.
+        Parameters of `scan`, but the rotation in `light` is not used, and the table has each angle once, ascending. It
+        is 0 if the model does not scatter in `event`.
     frame : {"specular", "normal"}
         Direction from which the table's polar angles are counted, see `BsdfSamples`.
 

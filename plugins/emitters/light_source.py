@@ -238,7 +238,8 @@ class LightSource(mi.Emitter):
         """
         Return the derivatives of ray origins o, mm, and directions d with respect to a parameter of the source.
 
-        Origins and directions are in the frame of the source. Derivatives are per unit of the parameter `name`.
+        Origins and directions are in the frame of the source, and derivatives hold it fixed. They are per unit of the
+        parameter `name`.
         """
         raise NotImplementedError
 
