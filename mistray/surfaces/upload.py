@@ -65,11 +65,10 @@ def numbers_of(parameters: Mapping[str, Any], owner: str) -> dict[str, float]:
 
     Raise `MistrayError` if one is not a single number; `owner` begins the message.
     """
-    found = {name: np.array(dr.detach(value), dtype=np.float64) for name, value in parameters.items()}
-    for name, value in found.items():
-        if value.shape != (1,):
-            raise MistrayError(f"{owner}: {name} has {value.size} entries; give one number")
-    return {name: float(value[0]) for name, value in found.items()}
+    for name, value in parameters.items():
+        if len(value) != 1:
+            raise MistrayError(f"{owner}: {name} has {len(value)} entries; give one number")
+    return {name: float(dr.detach(value)[0]) for name, value in parameters.items()}
 
 
 def upload_rows(kind: Any, values: np.ndarray) -> Any:
