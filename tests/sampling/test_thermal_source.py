@@ -284,6 +284,13 @@ def test_gradient(name: str) -> None:
     assert error < 0.15 * abs(exact)
 
 
+def test_a_height_is_held_as_an_angle() -> None:
+    here = scene(GRADIENTS["distance"][0])
+    for field, told in (({"field_mm": 5.0}, True), ({"field_deg": 5.0}, False)):
+        found = mistray.gradient(path_power(here, "direct", rays=1000, **field), mi.traverse(here), keys=["lamp.z"])
+        assert any("field_mm" in text for text in found.left_out) is told
+
+
 def test_every_gradient_is_compared() -> None:
     module = "mistray.plugins.emitters."
     pending, found = [LightSource], set()
