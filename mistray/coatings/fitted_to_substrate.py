@@ -40,9 +40,10 @@ class FittedPreset:
     Attributes
     ----------
     stack : Stack
-        Stack with the fitted thicknesses; as designed, if the body is like that of the design.
+        Stack with the fitted thicknesses; as designed if `changed` is False.
     changed : bool
-        Whether the thicknesses differ from those of the design.
+        Whether the thicknesses differ from those of the design: not for a body like that of the design, for a single
+        layer, or where no better thicknesses were found.
     low_nm, high_nm : float
         Limits of the band, nm.
     reached, designed, bare : float
@@ -71,7 +72,6 @@ class FittedPreset:
         return f"{band} (as designed {100 * self.designed:.3g} %, bare {100 * self.bare:.3g} %)"
 
 
-@lru_cache(maxsize=256)
 def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPreset:
     """
     Return a preset fitted to a body in air.
@@ -99,10 +99,17 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPrese
     bare 8.07%, as designed 1.06%, fitted 0.06%
     """
     stack, design = preset(name, design_nm), PRESETS[name]
+    lam = np.linspace(*design.band, POINTS) * design.centre_nm(design_nm)
+    # The data in a file may have changed
+    return _fitted(stack, body, design_nm, tuple(_index(body, nearest_known_nm(body, nm)) for nm in lam.tolist()))
+
+
+@lru_cache(maxsize=256)
+def _fitted(stack: Stack, body: str, design_nm: float, indices: tuple[complex, ...]) -> FittedPreset:
+    """Return the result of `fitted_preset` for a preset's `stack`; `indices` are those of the body over the band."""
+    name, design = stack.name, PRESETS[stack.name]
     centre = design.centre_nm(design_nm)
-    lam = np.linspace(*design.band, POINTS) * centre
-    known = [nearest_known_nm(body, nm) for nm in lam.tolist()]
-    substrate = np.array([_index(body, nm) for nm in known])
+    lam, substrate = np.linspace(*design.band, POINTS) * centre, np.array(indices)
     if substrate.imag.max() > METAL_K:
         band = f"light from {lam[0]:g} to {lam[-1]:g} nm"
         raise MistrayError(f"coating preset '{name}': '{body}' passes no {band}; choose a preset of another band")
@@ -128,7 +135,9 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPrese
 @lru_cache(maxsize=256)
 def unfitted(stack: Stack, body: str) -> str:
     """
-    Return a remark if a preset, as designed, leaves much more reflectance on this body than on its own; else "".
+    Return a remark if a preset as designed leaves much more reflectance on `body` than on the body of its design.
+
+    The result is "" if it does not, or the layers of `stack` are not those of a preset.
 
     Layers are those of a preset if their materials agree, and their thicknesses agree up to a common factor.
     """

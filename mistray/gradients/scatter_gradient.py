@@ -136,11 +136,11 @@ def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[
     MistrayError
         If there is no room to either side.
     """
-    values = {key: float(dr.detach(value)[0]) for key, value in plugin.values.items()}
+    values = plugin.model.values
     step = relative_step * (abs(values[name]) or 1.0)
 
     def at(steps: int) -> Any:
-        return plugin.model.changed(**{**values, name: values[name] + steps * step})
+        return plugin.model.changed(**{name: values[name] + steps * step})
 
     for stencil in ({-1: -0.5, 1: 0.5}, {0: -1.5, 1: 2.0, 2: -0.5}, {0: 1.5, -1: -2.0, -2: 0.5}):
         try:

@@ -124,11 +124,19 @@ def side_of(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_
 
     `n_in` and `n_out` are the real refractive indices on the side that the light comes from and on the other side.
     """
-    return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
+    key = models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front
+    return _known_side(*key) or _recent_side(*key)
 
 
 @lru_cache(maxsize=1024)
-def _known_side(
+def _known_side(*key: Any) -> Side | None:
+    """Return the result of `side_of`; None if it has ratio tables, of megabytes, that change with its models."""
+    side = _recent_side(*key)
+    return side if all(lobe.ratio is None or lobe.ratio.fixed for lobe in side.lobes) else None
+
+
+@lru_cache(maxsize=64)
+def _recent_side(
     models: tuple[LobeModel, ...],
     _particles: tuple[complex, ...],
     wavelength_nm: float,
@@ -136,6 +144,7 @@ def _known_side(
     n_out: float,
     from_front: bool,
 ) -> Side:
+    """Return the result of `side_of`, of which the last few are kept."""
     return make_side(models, wavelength_nm, n_in, n_out, from_front)
 
 

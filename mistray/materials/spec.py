@@ -173,7 +173,7 @@ def shifted(material: str, by: float) -> str:
         return material
     spec = parse(material)
     others = re.sub(r"\s+shift\s*=\s*\S*", "", spec.suffix, flags=re.IGNORECASE)
-    total = spec.shift + by
+    total = float(spec.shift + by)
     return f"{spec.text[: len(spec.text) - len(spec.suffix)]}{others}{f' shift={total!r}' if total else ''}"
 
 

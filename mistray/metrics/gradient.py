@@ -236,6 +236,7 @@ NO_EDGES = "what rays gain and lose at rims and silhouettes (edges=False)"
 ONSET = (
     "silhouettes of surfaces with tabulated coatings, and the onset of total reflection at them, where R and T can jump"
 )
+HEIGHT = "the change of the field angle with the z of a source at a height field_mm: the derivative holds the angle"
 INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the materials beside them"
 
 
@@ -349,6 +350,8 @@ def gradient_where_smooth(
     left_out = [LEFT_OUT]
     raws = _tables(observations, request)
     left_out += dict.fromkeys(text for raw in raws for text in raw.left_out)
+    if (getattr(metric, "settings", None) or {}).get("field_mm") and "z" in request.sources:
+        left_out.append(HEIGHT)
     places = {(id(p.owner), p.name) for p in chosen.values()}
 
     def is_chosen(owner: Any, name: str) -> bool:

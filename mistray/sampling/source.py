@@ -399,7 +399,11 @@ class EmittedRays(PluginRays):
         away = o - mi.Vector3d(*self.pivot.tolist())
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
         by_o, by_d = self.emitter.motion(name, *local)
-        return turned(by_o, axes), turned(by_d, axes)
+        by_o, z = turned(by_o, axes), self.emitter.values.get("z")
+        if name == "z" and z and getattr(self.emitter, "in_object_plane", False):
+            # A field angle displaces the pivot in proportion to z
+            by_o += mi.Vector3d(*((self.pivot - self.emitter.matrix[:3, 3]) / z).tolist())
+        return by_o, turned(by_d, axes)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """

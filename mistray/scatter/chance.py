@@ -90,7 +90,7 @@ def chance(
     solid_angle_sr : float
         Solid angle of the detector as seen from the surface, sr, > 0; so small that the BSDF is constant over it.
     incidence_deg : float
-        Angle of incidence, 0 … 90°.
+        Angle of incidence, from 0° to below 90°.
     event : {"reflection", "transmission"}
         Event whose scatter is considered.
     light : IncidentLight, optional
@@ -106,7 +106,8 @@ def chance(
     Raises
     ------
     MistrayError
-        If an angle, the solid angle or `before` is out of range, or BSDF · cos θs · ΔΩ exceeds 1.
+        If an angle, the solid angle or `before` is out of range, transmission is requested for totally reflected light,
+        or BSDF · cos θs · ΔΩ exceeds 1.
 
     Notes
     -----

@@ -34,7 +34,7 @@ OWN_KINDS: Mapping[str, type[Placement]] = {
 }
 _known = dict(OWN_KINDS)
 KINDS: Mapping[str, type[Placement]] = MappingProxyType(_known)
-"""Model classes by the names of their plugins, whose properties are the model's fields; those of others too.
+"""Model classes by the names of their plugins, also of users' plugins; properties of a plugin are fields of its model.
 
 `Tabulated` and `PsdTable` are read from their property ``file``. `Polynomial` takes its coefficients by name."""
 

@@ -37,7 +37,7 @@ def unusual(title: str, *texts: str | None, total: float = 0.0) -> str | None:
     *texts : str or None
         Remarks on unusual values; None for no remark.
     total : float
-        Fraction of the incident light that is scattered at normal incidence.
+        Fraction that is scattered at normal incidence, of the light that the model's `relative_to` names.
 
     Returns
     -------

@@ -19,7 +19,7 @@ from mistray.scatter.particle_clouds import kept_cloud
 
 DUST = "dust"
 LEVEL_POWER = float(2 * CLEANED_SLOPE * np.log10(300))
-"""Exponent of the level to which the covered area, 10^(0.926 log10² level), grows about level 300; 4.6."""
+"""Exponent p, 4.6, of the power law level^p that the covered area, 10^(0.926 log10² level), follows about level 300."""
 GREATEST_LOSS = 0.5
 """Fraction of the light that particles take from a reflection at grazing incidence, where 1/cos θ would exceed all
 light. If they take more at normal incidence, light meets several particles, and the model does not hold."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.scatter.evaluate import bsdf
-from mistray.scatter.lobe import LobeModel
+from mistray.scatter.lobe import EVENTS, LobeModel
 from mistray.scatter.measured.rotations import RotatedSamples
 from mistray.scatter.measured.samples import BsdfSamples
 from mistray.scatter.total import check_loss, totals
@@ -69,8 +69,11 @@ class IncidentLight:
         Raises
         ------
         MistrayError
-            If the angle is not from 0° to below 90°, or transmission is requested for totally reflected light.
+            If `event` is neither "reflection" nor "transmission", or the angle is not from 0° to below 90°. It is also
+            raised if transmission is requested for totally reflected light.
         """
+        if event not in EVENTS:
+            raise MistrayError(f"event is '{event}'; use {' or '.join(map(repr, EVENTS))}")
         if not 0 <= angle_deg < 90:
             raise MistrayError(f"angle of incidence {angle_deg:g}°; give angles from 0 to below 90°")
         sine = np.sin(np.radians(angle_deg))
@@ -191,7 +194,8 @@ def table(
     Parameters
     ----------
     model, angles_deg, event, light
-        Parameters of `scan`; the rotation in `light` is not used.
+        Parameters of `scan`, but the rotation in `light` is not used, and the table has each angle once, ascending. It
+        is 0 if the model does not scatter in `event`.
     frame : {"specular", "normal"}
         Direction from which the table's polar angles are counted, see `BsdfSamples`.
 

@@ -69,7 +69,8 @@ def lobe_total(
     else:
         shape = lobe.event, lobe.centre, lobe.factor, lobe.ratio
         ratio = 1.0 if lobe.event == "reflection" else n_out / n_in  # one table for light of both sides
-        r, weight, first = _rings(*shape, cos_i.tobytes(), ratio, rotation if lobe.anisotropic else 0.0)
+        rings = _rings if lobe.ratio is None or lobe.ratio.fixed else _recent_rings
+        r, weight, first = rings(*shape, cos_i.tobytes(), ratio, rotation if lobe.anisotropic else 0.0)
         values = np.add.reduceat(weight * table.value(r), first)
     if lobe.event == "transmission" and lobe.centre != "normal":
         values = np.where(n_in * np.sqrt(np.maximum(0, 1 - cos_i**2)) >= n_out, 0.0, values)
@@ -173,6 +174,9 @@ def _rings(
     found = [_ring_weights(lobe, *row, rotation) for row in zip(cos_i, cosine, specular, strict=True)]
     first = np.cumsum([0, *(len(r) for r, _ in found[:-1])])
     return np.concatenate([r for r, _ in found]), np.concatenate([w for _, w in found]), first
+
+
+_recent_rings = lru_cache(maxsize=16)(_rings.__wrapped__)  # for ratio tables that change with a model's parameters
 
 
 def _ring_weights(

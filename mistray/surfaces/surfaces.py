@@ -427,11 +427,12 @@ class SurfaceTable:
         Raises
         ------
         MistrayError
-            If there are several detectors and none is given, the film is too large, or the surface cannot hold a film.
+            If there are several detectors and none is given, the film is too large or cropped, or the surface cannot
+            hold a film.
         """
         detector = self.detector if detector is None else detector
         shape, owner = self.shapes[detector], f"detector '{self.ids[detector]}'"
-        width, height = (int(n) for n in shape.sensor().film().size())
+        width, height = film_size(shape.sensor().film(), owner)
         FILM_SIDE.check("width of its film", width, owner)
         FILM_SIDE.check("height of its film", height, owner)
         FILM_PIXELS.check("number of its pixels", width * height, owner)
@@ -525,3 +526,15 @@ def _rectangle_matrix(shape: Any, name: str) -> np.ndarray:
             f"detector '{name}' is {str(shape).split('[')[0]}; use an 'asphere', a flat 'frustum' or a 'rectangle'"
         )
     return np.array(params["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+
+
+def film_size(film: mi.Film, owner: str) -> tuple[int, int]:
+    """
+    Return the numbers of pixel columns and rows of a film.
+
+    Raise `MistrayError` if it is cropped; `owner` begins the message.
+    """
+    width, height = (int(n) for n in film.size())
+    if [width, height] != [int(n) for n in film.crop_size()]:
+        raise MistrayError(f"{owner}: its film has a crop, which is not used; leave the crop out")
+    return width, height

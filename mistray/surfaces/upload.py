@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import drjit as dr
 import numpy as np
+
+from mistray.errors import MistrayError
 
 ALIGNMENT = 128  # bytes
 DTYPES = {
@@ -54,6 +57,18 @@ def download(vector: Any) -> np.ndarray:
     dr.eval(vector)
     components = np.broadcast_arrays(*(np.array(component, dtype=np.float64) for component in vector))
     return np.array(components).T
+
+
+def numbers_of(parameters: Mapping[str, Any], owner: str) -> dict[str, float]:
+    """
+    Return the values of differentiable parameters, by name.
+
+    Raise `MistrayError` if one is not a single number; `owner` begins the message.
+    """
+    for name, value in parameters.items():
+        if len(value) != 1:
+            raise MistrayError(f"{owner}: {name} has {len(value)} entries; give one number")
+    return {name: float(dr.detach(value)[0]) for name, value in parameters.items()}
 
 
 def upload_rows(kind: Any, values: np.ndarray) -> Any:

@@ -111,8 +111,11 @@ class Scatterer(Interface):
         for name, value in zip(self.values, given, strict=True):
             if value.shape != (1,):
                 raise MistrayError(f"{self.title}: {name} has {len(value)} entries; give one number")
-        if given:
-            self.model = self.model.changed(**{n: float(v[0]) for n, v in zip(self.values, given, strict=True)})
+        # Values are compared as rounded, so that unchanged ones keep the digits of the scene
+        now = self.model.values
+        moved = {n: float(v[0]) for n, v in zip(self.values, given, strict=True) if v[0] != np.float32(now[n])}
+        if moved:
+            self.model = self.model.changed(**moved)
         self._model_held = given
 
     def _named_scatterers(self) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from mistray.spectra.spectrum import (
     light_of,
     of_lines,
 )
+from mistray.surfaces.upload import numbers_of
 
 BAND = {
     "band_nm": fixed(
@@ -237,7 +238,8 @@ class LightSource(mi.Emitter):
         """
         Return the derivatives of ray origins o, mm, and directions d with respect to a parameter of the source.
 
-        Origins and directions are in the frame of the source. Derivatives are per unit of the parameter `name`.
+        Origins and directions are in the frame of the source, and derivatives hold it fixed. They are per unit of the
+        parameter `name`.
         """
         raise NotImplementedError
 
@@ -323,18 +325,19 @@ class LightSource(mi.Emitter):
             callback.put(key, value, mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous)
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
-        given = {key: float(dr.detach(value)[0]) for key, value in self.parameters.items()}
-        # Values are compared as rounded, so that unchanged ones keep the digits of the scene
-        changed = {key: value for key, value in given.items() if value != float(np.float32(self.values[key]))}
-        before, self.values = self.values, self.values | changed
+        before, changed = self.values, dict.fromkeys(self.parameters, 0.0)
         try:
+            # Values are compared as rounded, so that unchanged ones keep the digits of the scene
+            given = numbers_of(self.parameters, self.owner)
+            changed = {key: value for key, value in given.items() if value != float(np.float32(before[key]))}
+            self.values = before | changed
             for key, value in changed.items():
                 self.ranges[key].check(key, value, self.owner)
             self.check()
         except MistrayError:
             self.values = before
-            for key in changed:
-                self.parameters[key][0] = before[key]
+            for key in changed:  # in place: mi.traverse has handed out these very objects
+                mi.set_property(self.parameters[key], mi.Float(before[key]))
             raise
 
     # Mitsuba's own protocol, for its particle tracer
@@ -342,6 +345,10 @@ class LightSource(mi.Emitter):
     def sample_ray(
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
+        """Return start rays in the world, and their whole flux, W; 0 for a source whose rays depend on the scene."""
+        kind = type(self)
+        if kind.rays_from is LightSource.rays_from and kind.rays is LightSource.rays:
+            return dr.zeros(mi.Ray3f, dr.width(sample2)), mi.Spectrum(0)
         pivot, *axes = (mi.Vector3f(*vector.tolist()) for vector in self.frame())
         numbers = {name: mi.Float(value) for name, value in self.values.items()}
         numbers["wavelength_nm"] = mi.Float(float(self.wavelengths_nm[0]))

@@ -34,6 +34,7 @@ class RayFile(LightSource):
 
     Each wavelength of the file is traced separately; if there are more than 32, near ones are combined. One with a
     sixteenth of the flux or more is never combined. With ``wavelength_nm`` in a call all rays have that wavelength.
+    Mitsuba's own integrators get no light from it.
 
     .. code-block:: xml
 

@@ -70,6 +70,8 @@ class SurfaceSource(ConeSource):
         self.rectangular = "half_width" in props or "half_height" in props
         if self.rectangular == ("radius" in props):
             self._fail("give either radius, or half_width and half_height")
+        if self.rectangular and "inner_radius" in props:
+            self._fail("inner_radius is given with half_width and half_height; it is the hole of a disc, leave it out")
         self._limit_cone(props, self._sizes)
         self._keep_parameters(set(self.differentiable) - (set(SIZES) - set(self._sizes)))
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -223,12 +222,6 @@ class Thermal(LightSource):
     def power(self, field_deg: float | None = None) -> float:
         """Return 0 W to Mitsuba's own integrators, as the emitted flux depends on the scene."""
         return 0.0
-
-    def sample_ray(
-        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
-    ) -> tuple[mi.Ray3f, mi.Spectrum]:
-        """Return rays without light to Mitsuba's own integrators."""
-        return dr.zeros(mi.Ray3f, dr.width(sample2)), mi.Spectrum(0)
 
 
 def _law(theta_deg: np.ndarray, emitted: np.ndarray) -> IntensityTable:

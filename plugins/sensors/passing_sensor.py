@@ -28,6 +28,8 @@ class PassingSensor(mi.Sensor):
         Its parameters by name.
     placed : bool
         Whether it has a position of its own; otherwise it belongs to surfaces.
+    filmed : bool
+        Whether its cells are the pixels of a film that may be nested in it.
     name : str
         Id of the sensor, or `what` without one, under which a trace has its recorder.
     matrix : (4, 4) float64
@@ -39,6 +41,7 @@ class PassingSensor(mi.Sensor):
     what: ClassVar[str] = "sensor"
     properties: ClassVar[Mapping[str, Param]]
     placed: ClassVar[bool] = True
+    filmed: ClassVar[bool] = False
 
     def __init__(self, props: mi.Properties) -> None:
         # Only objects are read here: properties that are read count as known, and unknown numbers must be refused
@@ -48,6 +51,8 @@ class PassingSensor(mi.Sensor):
         self.name = str(props.id()) or self.what
         self.owner = f"{self.what} '{self.name}'"
         check_id(self.name, self.what)
+        if self.has_film and not self.filmed:
+            raise MistrayError(f"{self.owner}: it has a film, which it does not use; leave the film out")
         if not self.placed and "to_world" in props:
             raise MistrayError(f"{self.owner}: it has to_world, but surfaces have their own place; leave it out")
         self.matrix = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, self.owner)

@@ -11,6 +11,7 @@ from mistray.param import OBJECT, documented, fixed, take
 from mistray.plugins.sensors.passing_sensor import FRAME, PassingSensor
 from mistray.ranges import FILM_SIDE, SIZE_MM
 from mistray.recorders.flux_maps.probe import Probe
+from mistray.surfaces.surfaces import film_size
 
 PIXELS = 64  # pixels along each side without a film
 
@@ -49,6 +50,7 @@ class ProbeSensor(PassingSensor):
     """
 
     what = "probe"
+    filmed = True
     properties = {
         "half_width": fixed("mm", SIZE_MM, "half of the rectangle along x", 1.0),
         "half_height": fixed("mm", SIZE_MM, "half of the rectangle along y", 1.0),
@@ -63,8 +65,7 @@ class ProbeSensor(PassingSensor):
         super().__init__(props)
         self.half = take(self, props, "half_width"), take(self, props, "half_height")
         self.directions = take(self, props, "directions")
-        size = self.film().size()
-        self.pixels = (int(size[0]), int(size[1])) if self.has_film else (PIXELS, PIXELS)
+        self.pixels = film_size(self.film(), self.owner) if self.has_film else (PIXELS, PIXELS)
         self.recorder()  # refuses what a probe cannot be
 
     def recorder(self) -> Probe:

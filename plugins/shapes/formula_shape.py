@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -16,6 +15,7 @@ from mistray.param import OBJECT, REQUIRED, Param, fixed, take
 from mistray.physics.geometry.pose import moved, rigid_motion
 from mistray.ranges import AZIMUTH_DEG, FINITE, PLACE_MM, SPACE, TEXT, Range
 from mistray.surfaces.gradient_columns import POSE, declare_columns
+from mistray.surfaces.upload import numbers_of
 
 if TYPE_CHECKING:
     from mistray.surfaces.surface import TracedSurface
@@ -203,24 +203,25 @@ class FormulaShape(mi.Mesh):
             callback.put(key, value, kind | mi.ParamFlags.Discontinuous)
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
-        given = {key: float(dr.detach(value)[0]) for key, value in self.__dict__.get("parameters", {}).items()}
-        # Values are compared as rounded, so that unchanged ones keep the digits of the scene
-        changed = {
-            key: value
-            for key, value in given.items()
-            if (not keys or key in keys) and value != self._rounded(key, self.values[key])
-        }
-        if not changed:
-            mi.Mesh.parameters_changed(self, keys)
-            return
-        before, self.values = self.values, self.values | changed
+        parameters = self.__dict__.get("parameters", {})
+        before, changed = self.__dict__.get("values", {}), dict.fromkeys(parameters, 0.0)
         try:
+            # Values are compared as rounded, so that unchanged ones keep the digits of the scene
+            changed = {
+                key: value
+                for key, value in numbers_of(parameters, self.owner).items()
+                if (not keys or key in keys) and value != self._rounded(key, before[key])
+            }
+            if not changed:
+                mi.Mesh.parameters_changed(self, keys)
+                return
+            self.values = before | changed
             self._check_all()
             mesh = self._checked_mesh()
         except MistrayError:
             self.values = before
-            for key in changed:
-                self.parameters[key][0] = before[key]
+            for key in changed:  # in place: mi.traverse has handed out these very objects
+                mi.set_property(parameters[key], type(parameters[key])(before[key]))
             self.check()  # a subclass keeps there what follows from its values
             raise
         write_mesh(self, *mesh)

@@ -318,6 +318,13 @@ def test_a_body_like_that_of_the_design_keeps_it_and_others_are_refused() -> Non
     )
 
 
+def test_a_body_of_a_file_that_changes_is_fitted_again(tmp_path: Path) -> None:
+    body = tmp_path / "body.csv"
+    for index in ("4.0", "3.2"):
+        body.write_text(f"wavelength_nm,n,k\n2000,{index},0\n6000,{index:<06},0\n")
+        assert fitted_preset("zns_mwir", str(body)).bare == fitted_preset("zns_mwir", index).bare
+
+
 def test_coat_fits_each_glass_and_says_what_it_reached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The scene has explicit layers, one coating for each glass; as designed, R would be two to four times as large."""
     file = tmp_path / "coated.xml"

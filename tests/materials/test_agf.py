@@ -3,6 +3,7 @@
 import cmath
 import math
 
+import numpy as np
 import pytest
 import vectors
 from oracles import glass
@@ -189,7 +190,7 @@ def test_an_explicit_k_a_shift_of_n_and_extrapolation():
     assert refractive_index("SCHOTT/N-BK7 shift = 0.25 k=0", 550.0) == n + 0.25
     assert refractive_index("air shift=-1e-4", 550.0) == 1 - 1e-4  # not an error, though glass has n of at least 1
     assert shifted("N-BK7", 0.0) == "N-BK7"
-    assert shifted("N-BK7 k=0", 1e-5) == "N-BK7 k=0 shift=1e-05"
+    assert shifted("N-BK7 k=0", np.float64(1e-5)) == "N-BK7 k=0 shift=1e-05"
     assert shifted(" N-BK7 shift=0.5 k=0", 0.25) == "N-BK7 k=0 shift=0.75"
     assert shifted("N-BK7 shift=0.5", -0.5) == "N-BK7"
     # N-BK7 from 300 nm on: at 280 nm its Sellmeier formula and the k of 300 nm; a table of n keeps its end, too

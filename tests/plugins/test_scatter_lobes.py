@@ -17,6 +17,7 @@ from scatter_surfaces import EVENTS, IMPORTANCE, MODELS, RADIANCE, context, dire
 from vectors import toml
 
 from mistray import MistrayError
+from mistray.gradients.scatter_gradient import quotient
 from mistray.scatter.evaluate import bsdf as float64_bsdf
 from mistray.scatter.kinds import OWN_KINDS
 from mistray.scatter.total import totals
@@ -365,6 +366,13 @@ class TestScene:
             encoding="utf-8",
         )
         assert mi.load_file(str(tmp_path / "scene.xml")).model.particle == str(tmp_path / "dust.csv")
+
+    def test_digits_of_the_scene_are_kept(self) -> None:
+        """In single precision the level would lie below the greatest diameter."""
+        bsdf = mi.load_dict({"type": "particulate", "level": 400.3, "max_um": 400.3})
+        assert bsdf.model.level == 400.3
+        assert [model.level >= 400.3 for _, model in quotient(bsdf, "level")] == [True] * 3
+        assert [model.level for _, model in quotient(bsdf, "slope")] == [400.3] * 2
 
     def test_alone_update_and_refusal(self) -> None:
         """By itself it is an interface with R = 1, or R = 0 where the scatter is absolute."""

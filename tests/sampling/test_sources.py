@@ -407,7 +407,16 @@ def test_an_update_is_refused_as_a_scene_is(lamp: dict[str, Any], key: str, valu
     params[key] = mi.Float(value)
     with refused("source 'lamp'", words):
         params.update()
+    params[key] = mi.Float([])
+    with refused("source 'lamp'", f"{key} has 0 entries"):
+        params.update()
     assert made.values[key] == float(mi.traverse(made)[key][0]) == lamp[key]
+
+
+@pytest.mark.parametrize("kind", ["distant_disc", "sky"])
+def test_a_particle_tracer_gets_no_light_that_fills_the_scene(kind: str) -> None:
+    image = mi.render(lit({"type": kind}), integrator=mi.load_dict({"type": "ptracer"}), spp=1)
+    assert not np.any(np.array(image))
 
 
 def test_a_rough_axis_is_named() -> None:

@@ -227,6 +227,8 @@ def test_half_of_the_runs_hit_and_what_is_refused() -> None:
         ((0.0, 1.0), "solid angle 1 sr: too large for one value"),
         by=lambda arguments: chance(LENS, *arguments),
     )
+    with refused("event is 'reflect'"):
+        chance(LENS, 30.0, 1e-6, event="reflect")
 
 
 legendre = functools.cache(np.polynomial.legendre.leggauss)

@@ -1,6 +1,7 @@
-"""Particles: lobes against float64 test vectors, their energy, and clouds that a cache keeps."""
+"""Particles: lobes against float64 test vectors, their energy; clouds and tables of scatter that a cache keeps."""
 
 import hashlib
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,16 @@ import pytest
 from refusals import refused
 from scipy.interpolate import CubicSpline
 
-from mistray.kernel.scatter_tables import make_side, side_of
+from mistray.kernel import scatter_tables
+from mistray.kernel.scatter_tables import Side, make_side, side_of
 from mistray.physics import contamination, mie
 from mistray.physics.contamination import Cloud
 from mistray.scatter import particle_clouds
 from mistray.scatter.evaluate import bsdf
+from mistray.scatter.lobe import Lobe, RatioTable
 from mistray.scatter.particle_clouds import kept_cloud
 from mistray.scatter.particulate import Particulate
+from mistray.scatter.phong import Phong
 from mistray.scatter.total import check_budget, lobe_total, totals
 
 DATA = Path(__file__).parents[1] / "data"
@@ -125,6 +129,22 @@ def test_particles_of_a_file_that_changes_are_computed_again(tmp_path: Path) -> 
         np.testing.assert_array_equal(found[-1].rows["reflection"], exact.rows["reflection"])
     assert side_of(models, WAVELENGTH_NM, 1.0, 1.0, True) is found[1]
     assert np.max(np.abs(found[0].rows["reflection"] / found[1].rows["reflection"] - 1)) > 0.1
+
+
+def test_tables_that_parameters_change_are_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every step of a search makes new ones, of megabytes."""
+    made = []
+
+    def make(models: tuple[Any, ...], *key: Any) -> Side:
+        lobe = Lobe("reflection", np.ones_like, ratio=RatioTable(np.ones((2, 2, 2))))
+        lobe_total(lobe, np.ones(1), 1.0, 1.5)
+        made.append(weakref.ref(lobe.ratio))
+        return Side((lobe,), (), {})
+
+    monkeypatch.setattr(scatter_tables, "make_side", make)
+    for k in range(200):
+        side_of((Phong(b0=1.0, exponent=2.0 + k),), 551.5, 1.0, 1.5, True)
+    assert 0 < sum(ratio() is not None for ratio in made) <= 64
 
 
 SMALL = (0.55, 1.53 + 0.002j, 2.0, 0.926, 1.0, None, 1.0)  # few sizes: quick

@@ -202,10 +202,11 @@ ASPHERE = {"type": "asphere", "radius": 20.0, "a4": 1e-4, "a6": -2e-7, "semi_dia
         (ASPHERE, {"semi_diameter": -1.0}, "semi_diameter is -1"),
         (ASPHERE, {"curvature": 0.5}, "the conic ends at"),
         (ASPHERE, {"a8": float("nan")}, "a8 is nan"),
+        (ASPHERE, {"curvature": [0.01, 0.02]}, "curvature has 2 entries"),
         (ASPHERE, {"inner_semi_diameter": 7.0}, "inner_semi_diameter is 7 mm"),
     ],
 )
-def test_a_refused_update_leaves_the_surface(shape: dict[str, Any], changes: dict[str, float], words: str) -> None:
+def test_a_refused_update_leaves_the_surface(shape: dict[str, Any], changes: dict[str, Any], words: str) -> None:
     """Its numbers, its mesh and the surface that is traced; and the next good one is taken."""
     here = scene(shape)
     params = mi.traverse(here)

@@ -217,7 +217,11 @@ class BsdfSamples:
         return np.asarray(self.values / np.maximum(self.directions()[..., 2], HORIZON))
 
     def held(self, grid: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """Return values on the grid, (a, b, c), with nodes outside the mask `above` set to the last value within it."""
+        """
+        Return values on the grid, (a, b, c), with those outside the mask `above` replaced.
+
+        The value at the last polar angle within the mask, of the same incidence and azimuth, takes their place.
+        """
         last = np.maximum.accumulate(np.where(above, np.arange(len(self.polar_deg)), 0), axis=-1)
         return np.take_along_axis(grid, last, axis=-1)
 
@@ -266,7 +270,7 @@ class BsdfSamples:
 
     def resolved(self, beyond: str = "hold") -> bool:
         """
-        Return whether a table of the BSDF resolves the scatter at all incidences.
+        True if a table of the BSDF resolves the scatter at all incidences.
 
         It does if every second polar angle and azimuth gives the `totals`, with the same `beyond`, within `RESOLVED`.
         """
