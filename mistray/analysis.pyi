@@ -469,7 +469,8 @@ def image_quality(
     ------
     MistrayError
         If no light reaches the detector by the design path, at a field or at all, or the light does not converge. Also
-        if a surface on the way is a mesh, or the source is neither far away nor a point.
+        if a surface on the way is a mesh, the source is neither far away nor a point, or rays miss the requested
+        reference sphere.
 
     Examples
     --------
@@ -1073,7 +1074,8 @@ def transfer(
     progress : callable, optional
         Called with (fields done, fields in all).
     seconds : float, optional
-        Time of each trace, s, which then ends with the rays that it has; None: no limit.
+        Time of each trace, s, which then ends with the rays that it has, and leaves out wavelengths if it is too short
+        for all of four or more; their light counts at the nearest that is traced. None: no limit.
     azimuth_deg : float, optional
         Azimuth of the field about z, degrees. -360 … 360 degrees.
     wavelength_nm : float | Iterable[float], optional
