@@ -178,6 +178,17 @@ class TestCorners:
         check("radius", tied, np.cos(self.FIELD) * 4 * r * np.arccos(apart / (2 * r)))
         check("vane.r0", found["vane.r0"], -np.cos(self.FIELD) * 2 * np.pi * 1.0)
 
+    @pytest.mark.long
+    def test_a_rectangle_off_the_axis(self, load_scene) -> None:
+        """The last bits of its coordinates are 0 and do not choose the side that a hit near a corner counts for."""
+        square: dict[str, Any] = {"at": (-20.0, 0.0, 5.0), "half_width": 3.0, "half_height": 3.0}
+        other = placed_xml("asphere", "other", at=(20.0, 0.0, 5.0), semi_diameter=1.0)
+        text = scene_text(placed_xml("asphere", "detector", pixels=8, **square), other, radius=25.0)
+        found = power_parts(load_scene(text), ["detector.half_width", "detector.half_height"], 0.5, rays=150_000)
+        for key, parts in found.items():  # by those bits 6 and 18; false alarm 5e-5
+            value, se = sums(parts)
+            assert_z(key, value, 12.0, se, k=5.0)
+
     def test_part_of_a_side_and_a_touching_circle(self, load_scene) -> None:
         """A half mirror stands on a part of a black square's side; both move, and only the square's width counts."""
         large = shape_xml("asphere", "large", 5.0, half_width=4.0, half_height=4.0)
