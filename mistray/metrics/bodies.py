@@ -97,8 +97,10 @@ class Body:
             there = np.linalg.inv(frame) @ motion @ moved(frame, *start)
             # Rx Ry Rz is the inverse of Rz(-c) Ry(-b) Rx(-a)
             there_deg = -np.array(fixed_angles_deg(there[:3, :3].T))
-            turned = start[3:] + (there_deg - start[3:] + 180) % 360 - 180
-            change = np.array([*there[:3, 3], *turned]) - start
+            # Of the two triples of angles that make a rotation, the one nearest to the present tilts
+            ways = np.array([there_deg, 180 + there_deg * (1, -1, 1)])
+            turned = min((ways - start[3:] + 180) % 360 - 180, key=np.linalg.norm)
+            change = (*(there[:3, 3] - start[:3]), *turned)
             found |= {f"{surface}.{name}": float(value) for name, value in zip(POSE, change, strict=True)}
         return found
 
