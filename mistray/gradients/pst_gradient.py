@@ -35,7 +35,7 @@ from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.start_rays import StartRays
-from mistray.surfaces.gradient_columns import GEOMETRY, POSE, RIM_COLUMNS, SHAPE_COLUMNS
+from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, OWN, RIM_COLUMNS
 from mistray.surfaces.upload import upload
 
 CELL_BORDERS = "light whose direction of arrival moves across the border of a cell of angles"
@@ -163,7 +163,7 @@ class PstRays:
         raw = path_replay.result()
         if request.moves:
             raw.left_out.append(CELL_BORDERS)
-        if request.geometry & set(SHAPE_COLUMNS).difference(POSE):
+        if request.geometry & {"curvature", "conic", *COEFFICIENTS, *OWN}:
             raw.left_out.append(DETECTOR_SHAPE)
         if request.geometry & set(RIM_COLUMNS):
             raw.left_out.append(DETECTOR_RIMS)
