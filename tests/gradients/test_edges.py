@@ -365,6 +365,17 @@ def test_rod_across_a_beam(load_scene) -> None:
     check("displacement", found["rod.y"], inner - outer)  # the y of the rod is the x of the world
 
 
+@pytest.mark.long
+def test_grazing_light_on_a_strip(load_scene) -> None:
+    """Rays at 8° come out again beyond its sides, within its diagonal: no silhouette. It was 0.48; false alarm 5e-5."""
+    size: dict[str, Any] = {"half_width": 1.0, "half_height": 4.0, "curvature": 0.05}
+    angle = np.radians(8.0)
+    strip = placed_xml("asphere", "strip", at=(0.0, 0.0, 20.0), facing=(0.0, -np.cos(angle), np.sin(angle)), **size)
+    scene = load_scene(scene_text(strip, detector(60.0), radius=5.0))
+    value, se = sums(power_parts(scene, ["strip.tilt_y"], 0.05, rays=1_000_000)["strip.tilt_y"])
+    assert_z("tilt", value, 16.0 * np.cos(angle) * np.pi / 180, se, k=5.0)
+
+
 @pytest.mark.quick
 @pytest.mark.parametrize("coefficient", [0.0, 2e-3])
 def test_profile_of_a_shell(load_scene, coefficient: float) -> None:
