@@ -128,9 +128,7 @@ class Body:
 
     def slopes(self, name: str) -> dict[str, float]:
         """
-        Return the derivatives of the surfaces' positions and tilts.
-
-        They are those with respect to one displacement or tilt of the body.
+        Return the derivatives of the surfaces' positions and tilts with respect to a displacement or tilt of the body.
 
         Parameters
         ----------
@@ -142,7 +140,13 @@ class Body:
         dict
             Change, mm or degrees, per mm or degree of the body, by the key of a parameter. Parameters that do not
             change are left out.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such displacement or tilt.
         """
+        refuse_unknown([name], POSE, f"body '{self.part}': ")
         if name in ROTATION:
             step = STEP_DEG * np.eye(3)[ROTATION.index(name)]
             more, less = self.tilted(step), self.tilted(-step)

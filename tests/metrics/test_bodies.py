@@ -175,6 +175,8 @@ def test_configuration_and_derivative_by_several_numbers(here: Any, known: dict[
     assert along.se == pytest.approx(float(np.std(parts, ddof=1) * np.sqrt(32)))
     with pytest.raises(MistrayError, match=r"the gradient has no 'front\.curvature'"):
         found.along({**slopes, "front.curvature": 1.0})
+    with pytest.raises(MistrayError, match="body 'L': there is no argument 'tilt'"):
+        known["L"].slopes("tilt")
 
 
 DETECTOR = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=3.0, half_height=3.0)
