@@ -131,6 +131,7 @@ class LightSource(mi.Emitter):
             key: float(within.check(key, props.get(key, self.defaults.get(key)), self.owner))
             for key, within in self.ranges.items()
         }
+        self._loaded = dict(self.values)
         self.field_deg, self.azimuth_deg = (param.of(props, key, self.owner) for key, param in DIRECTION.items())
         to_world = props.get("to_world", mi.ScalarTransform4f()).matrix
         self.matrix, self.pointing_error = rigid_motion(to_world, self.owner), pointing_error(to_world)
@@ -324,8 +325,12 @@ class LightSource(mi.Emitter):
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
         given = {key: float(dr.detach(value)[0]) for key, value in self.parameters.items()}
-        # Values are compared as rounded, so that unchanged ones keep the digits of the scene
-        changed = {key: value for key, value in given.items() if value != float(np.float32(self.values[key]))}
+        # Values are compared as rounded, so that unchanged and restored ones have the digits of the scene
+        changed = {
+            key: self._loaded[key] if value == float(np.float32(self._loaded[key])) else value
+            for key, value in given.items()
+            if value != float(np.float32(self.values[key]))
+        }
         before, self.values = self.values, self.values | changed
         try:
             for key, value in changed.items():

@@ -96,6 +96,7 @@ class FormulaShape(mi.Mesh):
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
         self.values = values | {key: param.of(props, key, self.owner) for key, param in MOVES.items()}
+        self._loaded = dict(self.values)
         objects = (props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object)
         self.detects = any(isinstance(item, mi.Sensor) for item in objects)
         self._check_all()
@@ -204,9 +205,9 @@ class FormulaShape(mi.Mesh):
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
         given = {key: float(dr.detach(value)[0]) for key, value in self.__dict__.get("parameters", {}).items()}
-        # Values are compared as rounded, so that unchanged ones keep the digits of the scene
+        # Values are compared as rounded, so that unchanged and restored ones have the digits of the scene
         changed = {
-            key: value
+            key: self._loaded[key] if value == self._rounded(key, self._loaded[key]) else value
             for key, value in given.items()
             if (not keys or key in keys) and value != self._rounded(key, self.values[key])
         }
