@@ -164,9 +164,9 @@ class RimRecorder(Recorder):
         # Nearest rim or jump
         rim, delta, near, both = self._nearest(state["s"], it.local, valid)
         kind, distance, scale, near_jump = self.grazing.find(state["s"], it, state["d"], valid)
-        # A hit is recorded once: between a rim and a jump a low-order bit of a coordinate chooses
+        # A hit is recorded once: between a rim and a jump a random bit chooses
         mixed = near & near_jump
-        jumps = near_jump & (~near | ((dr.reinterpret_array(mi.UInt32, it.local.y) & 1) != 0))
+        jumps = near_jump & (~near | ((_random_bits(it.local) & 1) != 0))
         rim, delta = dr.select(jumps, kind, rim), dr.select(jumps, distance, delta)
         copies = dr.select(mixed, mi.Float(2), 1) * dr.select(both & ~jumps, mi.Float(2), 1)
         near |= near_jump
@@ -199,8 +199,7 @@ class RimRecorder(Recorder):
         """
         Return the rim whose zone each hit lies in, the distance from it, mm, and masks of hits in a zone, in two zones.
 
-        `q` are the hits in the frames of their surfaces `s`, mm. In two zones the last bit of a coordinate chooses the
-        rim.
+        `q` are the hits in the frames of their surfaces `s`, mm. In two zones a random bit chooses the rim.
         """
         bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
         kind = dr.gather(mi.UInt32, self._kinds, s, active)
@@ -213,9 +212,8 @@ class RimRecorder(Recorder):
         to_first, to_second = dr.maximum(bounds.x - along, 0), dr.maximum(across - bounds.y, 0)
         near_first, near_second = active & (to_first < bounds.z), active & (to_second < bounds.w)
         both = near_first & near_second
-        # Between two zones the last bit of a coordinate chooses
-        odd = (dr.reinterpret_array(mi.UInt32, q.x) & 1) != 0
-        first = near_first & (~both | odd)
+        # Between two zones a random bit chooses
+        first = near_first & (~both | ((_random_bits(q) & 2) != 0))
         rim = 2 * kind + dr.select(first ^ (kind == ENDS), mi.UInt32(0), 1)
         return rim, dr.select(first, to_first, to_second), near_first | near_second, both
 
@@ -447,6 +445,12 @@ class Edges:
         beyond = dr.sqrt(dr.maximum(1 - dr.square(sine), 0)) * axis + sine * aside
         d = dr.select(critical, beyond, d)
         return o, d, dr.select(jumps, NO_SURFACE, left), dr.select(critical, s, dr.select(grazes, NO_SURFACE, at))
+
+
+def _random_bits(q: mi.Vector3f) -> mi.UInt32:
+    """Return two random bits for each point q, mm, by a hash: the last bits of coordinates off the axis may be 0."""
+    x, y = (dr.reinterpret_array(mi.UInt32, coordinate) for coordinate in (q.x, q.y))
+    return (x * 0x9E3779B1 ^ y * 0x85EBCA6B) >> 30
 
 
 def kernel(delta: Any, width: Any) -> Any:

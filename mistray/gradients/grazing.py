@@ -26,7 +26,7 @@ from mistray.kernel.interaction import Interaction
 from mistray.physics.geometry.sag import sag_derivative
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
 from mistray.surfaces.optics import ASPHERIC, IDEAL, OPAQUE
-from mistray.surfaces.surface import ENDS
+from mistray.surfaces.surface import ENDS, RECTANGLE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
@@ -78,10 +78,11 @@ class Grazing:
     def __init__(self, table: SurfaceTable, width: float) -> None:
         self._table = table
         self.zone = dr.opaque(mi.Float, ZONE * width)
-        # Reach of each surface, its size, and whether the reach is in a coordinate of its own
+        # Reach of each surface, its size, and the coordinate of the reach
         extents = np.zeros((table.count, 4))
         for piece in table.pieces:
-            extents[piece.index] = *piece.reach, piece.size, piece.rim_coordinate == ENDS
+            extents[piece.index] = *piece.reach, piece.size, piece.rim_coordinate
+        self._rectangles = bool(np.any(extents[:, 3] == RECTANGLE))
         self._extents = upload(mi.Float, extents)
 
     def find(
@@ -122,11 +123,14 @@ class Grazing:
         # The ray comes out again on the side of incidence, and the surface exists where the ray is deepest below it
         turning = -along / bend
         there = it.local + turning * local
-        place = dr.select(extent.w > 0, there.z, dr.sqrt(dr.fma(there.x, there.x, there.y * there.y)))
+        place = dr.select(extent.w == ENDS, there.z, dr.sqrt(dr.fma(there.x, there.x, there.y * there.y)))
         for here, family in self._table.families.members(s, steep):
             numbers = self._table.families.numbers(family, s, here)
             place = dr.select(here, family.coordinate(*there, numbers), place)
         inside = (place > extent.x) & (place < extent.y)
+        if self._rectangles:
+            half = dr.gather(mi.Vector2f, self._table.clip, s, steep)
+            inside &= (extent.w != RECTANGLE) | ((dr.abs(there.x) < half.x) & (dr.abs(there.y) < half.y))
         grazes = steep & inside & (turning > 0) & (dr.abs(bend) * extent.z > FLAT * length)
         # Critical angle
         margin = 1 - dr.square(it.eta) * (1 - dr.square(it.cos_i))

@@ -35,11 +35,12 @@ from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.start_rays import StartRays
-from mistray.surfaces.gradient_columns import GEOMETRY, RIM_COLUMNS
+from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, OWN, RIM_COLUMNS
 from mistray.surfaces.upload import upload
 
 CELL_BORDERS = "light whose direction of arrival moves across the border of a cell of angles"
 DETECTOR_RIMS = "the size of the detector itself, within which rays start"
+DETECTOR_SHAPE = "the curvature and figure of the detector itself, from which rays start"
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,8 @@ class PstRays:
         raw = path_replay.result()
         if request.moves:
             raw.left_out.append(CELL_BORDERS)
+        if request.geometry & {"curvature", "conic", *COEFFICIENTS, *OWN}:
+            raw.left_out.append(DETECTOR_SHAPE)
         if request.geometry & set(RIM_COLUMNS):
             raw.left_out.append(DETECTOR_RIMS)
             if self.cells is not None and raw.rims.geometry is not None:

@@ -97,8 +97,10 @@ class Body:
             there = np.linalg.inv(frame) @ motion @ moved(frame, *start)
             # Rx Ry Rz is the inverse of Rz(-c) Ry(-b) Rx(-a)
             there_deg = -np.array(fixed_angles_deg(there[:3, :3].T))
-            turned = start[3:] + (there_deg - start[3:] + 180) % 360 - 180
-            change = np.array([*there[:3, 3], *turned]) - start
+            # Of the two triples of angles that make a rotation, the one nearest to the present tilts
+            ways = np.array([there_deg, 180 + there_deg * (1, -1, 1)])
+            turned = min((ways - start[3:] + 180) % 360 - 180, key=np.linalg.norm)
+            change = (*(there[:3, 3] - start[:3]), *turned)
             found |= {f"{surface}.{name}": float(value) for name, value in zip(POSE, change, strict=True)}
         return found
 
@@ -126,9 +128,7 @@ class Body:
 
     def slopes(self, name: str) -> dict[str, float]:
         """
-        Return the derivatives of the surfaces' positions and tilts.
-
-        They are those with respect to one displacement or tilt of the body.
+        Return the derivatives of the surfaces' positions and tilts with respect to a displacement or tilt of the body.
 
         Parameters
         ----------
@@ -140,7 +140,13 @@ class Body:
         dict
             Change, mm or degrees, per mm or degree of the body, by the key of a parameter. Parameters that do not
             change are left out.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such displacement or tilt.
         """
+        refuse_unknown([name], POSE, f"body '{self.part}': ")
         if name in ROTATION:
             step = STEP_DEG * np.eye(3)[ROTATION.index(name)]
             more, less = self.tilted(step), self.tilted(-step)

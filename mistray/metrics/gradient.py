@@ -56,8 +56,8 @@ class Gradient(
     edge_number : int
         Position of this width among the widths of `edge_batches`.
     edge_batches : dict of str to (widths, BATCHES, entries) float64
-        Values of `batches` for all compared widths, by key; each width is half of the one
-        before. Only parameters on which rays near rims depend are included.
+        Values of `batches` for all compared widths, by key; each width is half of the one before. Only parameters on
+        which rays near rims depend are included.
     full : dict of str to FullKey
         Rims that a beam just fills and that a parameter moves relative to the beam, by key. Such a parameter has no
         derivative: it is NaN.
@@ -93,9 +93,9 @@ class Gradient(
 
     def key_numbers(self) -> dict[str, KeyNumber]:
         """
-        Return the metric's value, the number of derivatives that are not exactly 0, and that of `untouched` parameters.
+        Return, by label, the metric's value, the number of `untouched` parameters, and that of all other derivatives.
 
-        They are keyed by label.
+        A parameter with several entries, such as the layers of a coating, has several derivatives.
         """
         touched = sum(len(parts) for key, parts in self.gradient.items() if key not in self.untouched)
         return {"value": Estimate(self.value, self.value_se), "derivatives": touched, "exactly 0": len(self.untouched)}
@@ -121,9 +121,8 @@ class Gradient(
         """
         Bias of the derivatives, (entries,), from the finite width of the zones at rims, in their units, by key.
 
-        Keys are those of `edge_batches`.
-
-        It is never less than its own noise, `edge_check_se`; see `mistray.gradients.edge_widths.WidthErrors`.
+        Keys are those of `edge_batches`. The size of a bias is never less than its own noise, `edge_check_se`; see
+        `mistray.gradients.edge_widths.WidthErrors`.
         """
         return {key: errors.bias[self.edge_number] for key, errors in self._at_rims.items()}
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from mistray.estimate import Estimate
 from mistray.gradients.full.full_rims import FullRims
+from mistray.metrics.observation import Observation
 from mistray.metrics.parameters import Parameter
 from mistray.metrics.scene_values import changed
 from mistray.recorders.sampled import Sampled
@@ -123,5 +124,6 @@ def _seen(metric: Any) -> tuple[Sampled, int]:
     """Return a metric's value with its noise by batch, and the number of start rays of its smallest trace."""
     observations = metric.observe()
     value, noise = metric.differentiate(observations)
-    rays = min(one.trace.rays_planned for one in observations)
+    # A PST fills no rim: its rays start at the detector or in the whole sky
+    rays = min(one.trace.rays_planned for one in observations if isinstance(one, Observation))
     return Sampled(np.array(value), noise.apart), rays

@@ -26,7 +26,8 @@ def thin_gaps(table: SurfaceTable) -> list[Note]:
     Parameters
     ----------
     table : SurfaceTable
-        Surfaces of the scene; neighbours on one axis are compared, walls are left out.
+        Surfaces of the scene. Planes, conics and aspheres that are neighbours on one axis are compared; walls and all
+        other surfaces are left out.
     """
     return [*remembered(table.shared, "thin_gaps", lambda: [*_thin_gaps(table)])]
 

@@ -132,6 +132,7 @@ class LightSource(mi.Emitter):
             key: float(within.check(key, props.get(key, self.defaults.get(key)), self.owner))
             for key, within in self.ranges.items()
         }
+        self._loaded = dict(self.values)
         self.field_deg, self.azimuth_deg = (param.of(props, key, self.owner) for key, param in DIRECTION.items())
         to_world = props.get("to_world", mi.ScalarTransform4f()).matrix
         self.matrix, self.pointing_error = rigid_motion(to_world, self.owner), pointing_error(to_world)
@@ -327,9 +328,12 @@ class LightSource(mi.Emitter):
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
         before, changed = self.values, dict.fromkeys(self.parameters, 0.0)
         try:
-            # Values are compared as rounded, so that unchanged ones keep the digits of the scene
-            given = numbers_of(self.parameters, self.owner)
-            changed = {key: value for key, value in given.items() if value != float(np.float32(before[key]))}
+            # Values are compared as rounded, so that unchanged and restored ones have the digits of the scene
+            changed = {
+                key: self._loaded[key] if value == float(np.float32(self._loaded[key])) else value
+                for key, value in numbers_of(self.parameters, self.owner).items()
+                if value != float(np.float32(before[key]))
+            }
             self.values = before | changed
             for key, value in changed.items():
                 self.ranges[key].check(key, value, self.owner)

@@ -96,6 +96,7 @@ class FormulaShape(mi.Mesh):
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
         self.values = values | {key: param.of(props, key, self.owner) for key, param in MOVES.items()}
+        self._loaded = dict(self.values)
         objects = (props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object)
         self.detects = any(isinstance(item, mi.Sensor) for item in objects)
         self._check_all()
@@ -206,9 +207,9 @@ class FormulaShape(mi.Mesh):
         parameters = self.__dict__.get("parameters", {})
         before, changed = self.__dict__.get("values", {}), dict.fromkeys(parameters, 0.0)
         try:
-            # Values are compared as rounded, so that unchanged ones keep the digits of the scene
+            # Values are compared as rounded, so that unchanged and restored ones have the digits of the scene
             changed = {
-                key: value
+                key: self._loaded[key] if value == self._rounded(key, self._loaded[key]) else value
                 for key, value in numbers_of(parameters, self.owner).items()
                 if (not keys or key in keys) and value != self._rounded(key, before[key])
             }

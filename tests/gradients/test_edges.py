@@ -178,6 +178,17 @@ class TestCorners:
         check("radius", tied, np.cos(self.FIELD) * 4 * r * np.arccos(apart / (2 * r)))
         check("vane.r0", found["vane.r0"], -np.cos(self.FIELD) * 2 * np.pi * 1.0)
 
+    @pytest.mark.long
+    def test_a_rectangle_off_the_axis(self, load_scene) -> None:
+        """The last bits of its coordinates are 0 and do not choose the side that a hit near a corner counts for."""
+        square: dict[str, Any] = {"at": (-20.0, 0.0, 5.0), "half_width": 3.0, "half_height": 3.0}
+        other = placed_xml("asphere", "other", at=(20.0, 0.0, 5.0), semi_diameter=1.0)
+        text = scene_text(placed_xml("asphere", "detector", pixels=8, **square), other, radius=25.0)
+        found = power_parts(load_scene(text), ["detector.half_width", "detector.half_height"], 0.5, rays=150_000)
+        for key, parts in found.items():  # by those bits 6 and 18; false alarm 5e-5
+            value, se = sums(parts)
+            assert_z(key, value, 12.0, se, k=5.0)
+
     def test_part_of_a_side_and_a_touching_circle(self, load_scene) -> None:
         """A half mirror stands on a part of a black square's side; both move, and only the square's width counts."""
         large = shape_xml("asphere", "large", 5.0, half_width=4.0, half_height=4.0)
@@ -352,6 +363,17 @@ def test_rod_across_a_beam(load_scene) -> None:
     inner, outer = (2 * np.sqrt(BEAM**2 - x**2) for x in (0.5, 4.5))
     check("radius", found["rod.r0"] + found["rod.r1"], -(inner + outer))
     check("displacement", found["rod.y"], inner - outer)  # the y of the rod is the x of the world
+
+
+@pytest.mark.long
+def test_grazing_light_on_a_strip(load_scene) -> None:
+    """Rays at 8° come out again beyond its sides, within its diagonal: no silhouette. It was 0.48; false alarm 5e-5."""
+    size: dict[str, Any] = {"half_width": 1.0, "half_height": 4.0, "curvature": 0.05}
+    angle = np.radians(8.0)
+    strip = placed_xml("asphere", "strip", at=(0.0, 0.0, 20.0), facing=(0.0, -np.cos(angle), np.sin(angle)), **size)
+    scene = load_scene(scene_text(strip, detector(60.0), radius=5.0))
+    value, se = sums(power_parts(scene, ["strip.tilt_y"], 0.05, rays=1_000_000)["strip.tilt_y"])
+    assert_z("tilt", value, 16.0 * np.cos(angle) * np.pi / 180, se, k=5.0)
 
 
 @pytest.mark.quick

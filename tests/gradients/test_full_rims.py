@@ -15,7 +15,7 @@ from mistray.estimate import Estimate
 from mistray.gradients.full.full_rims import FullRims
 from mistray.gradients.full.marginal_rays import Passage
 from mistray.metrics.gradient import chosen_parameters, gradient_request, gradient_seen
-from mistray.optimize import Metric, bodies, parameters, path_power, pst_bin, sensitivity
+from mistray.optimize import Metric, bodies, combine, parameters, path_power, pst_bin, sensitivity
 from mistray.prescription import (
     Coating,
     Detector,
@@ -92,6 +92,16 @@ def test_a_stop_that_its_beam_just_fills_has_a_derivative_on_each_side():
     assert not found.one_sided
     mistray.gradient(all_light(scene, rays=640), mi.traverse(scene), ["stop.r1"])
     assert float(mi.traverse(scene)["stop.r1"][0]) == RADIUS  # the scene stays
+
+
+@pytest.mark.long
+def test_a_full_rim_of_a_metric_with_a_pst():
+    """Only traces have a source whose beam fills a rim; the PST adds the same on both sides."""
+    scene = built(beam(), stop=plate())
+    both = {"light": all_light(scene, rays=RAYS), "pst": pst_bin(scene, 10.0, "total", rays=1 << 14, method="adjoint")}
+    found = mistray.gradient(combine(both, lambda v: v["light"] + v["pst"]), mi.traverse(scene), "stop.r1")
+    below, above = found.one_sided["stop.r1"]
+    assert abs(below.value - above.value - 2 / RADIUS) < ERRORS * math.hypot(below.se, above.se)
 
 
 @pytest.mark.parametrize("wider", [-0.02, 0.001, 0.01, 0.03])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.gradients.pst_gradient import DETECTOR_SHAPE
 from mistray.optimize import gradient, pst_bin
 from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.path_key import PATH_CLASSES
@@ -115,6 +116,14 @@ def test_any_shares_have_the_same_mean(scene, share: float, monkeypatch: pytest.
         found, own = derivative(scene, ["vane.r0"], rays=1 << 18)["vane.r0"]
     other, error = derivative(scene, ["vane.r0"], rays=1 << 18, seed=4)["vane.r0"]
     assert abs(found - other) < 5 * np.hypot(own, error)
+
+
+@pytest.mark.long
+def test_the_shape_of_the_detector_is_left_out() -> None:
+    """Backward rays start from it, and do not move with its curvature."""
+    params = mi.traverse(seen := mistray.load("plate_and_wall"))
+    found = gradient(pst_bin(seen, 30.0, rays=1 << 10, method="adjoint"), params, "detector.curvature")
+    assert DETECTOR_SHAPE in found.left_out
 
 
 def test_mis_weights_of_path_classes() -> None:

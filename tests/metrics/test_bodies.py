@@ -91,18 +91,21 @@ class TestBody:
         relative = [np.linalg.inv(place["front"]) @ place["rear"] for place in (before, after)]
         np.testing.assert_allclose(relative[1], relative[0], atol=2e-5)
 
-    def test_slopes_lead_to_columns(self, here: Any, known: dict[str, Body]) -> None:
+    @pytest.mark.parametrize("tilt_y", [0.0, 120.0, 180.0])
+    def test_slopes_lead_to_columns(self, here: Any, known: dict[str, Body], tilt_y: float) -> None:
         """A tilt by one degree: each vertex moves by the angle times its arm, and its frame turns by the angle."""
-        body, shapes = known["P"], {shape.id(): shape for shape in here.shapes()}
-        slopes = body.slopes("tilt_x")
+        shapes, turned = {shape.id(): shape for shape in here.shapes()}, f"{next(iter(known['P'].frames))}.tilt_y"
         axis = np.radians(1.0) * np.array([1.0, 0.0, 0.0])
-        for surface in body.frames:
-            shape = shapes[surface]
-            moves = sum(slopes.get(f"{surface}.{name}", 0.0) * column_derivatives(shape, name) for name in POSE)
-            frame = np.asarray(shape.vertex_frame(shape.values, shape.matrix))
-            to_local = frame[:3, :3].T
-            expected = [*to_local @ np.cross(axis, frame[:3, 3] - body.pivot), *to_local @ axis]
-            np.testing.assert_allclose(moves[[GEOMETRY.index(name) for name in POSE]], expected, atol=1e-8)
+        with changed(mi.traverse(here), {turned: np.array([tilt_y])}):
+            body = bodies(parameters(here))["P"]
+            slopes = body.slopes("tilt_x")
+            for surface in body.frames:
+                shape = shapes[surface]
+                moves = sum(slopes.get(f"{surface}.{name}", 0.0) * column_derivatives(shape, name) for name in POSE)
+                frame = np.asarray(shape.vertex_frame(shape.values, shape.matrix))
+                to_local = frame[:3, :3].T
+                expected = [*to_local @ np.cross(axis, frame[:3, 3] - body.pivot), *to_local @ axis]
+                np.testing.assert_allclose(moves[[GEOMETRY.index(name) for name in POSE]], expected, atol=1e-8)
 
 
 class TestStudy:
@@ -172,6 +175,8 @@ def test_configuration_and_derivative_by_several_numbers(here: Any, known: dict[
     assert along.se == pytest.approx(float(np.std(parts, ddof=1) * np.sqrt(32)))
     with pytest.raises(MistrayError, match=r"the gradient has no 'front\.curvature'"):
         found.along({**slopes, "front.curvature": 1.0})
+    with pytest.raises(MistrayError, match="body 'L': there is no argument 'tilt'"):
+        known["L"].slopes("tilt")
 
 
 DETECTOR = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=3.0, half_height=3.0)

@@ -10,6 +10,7 @@ from scene_dicts import BLACK, at, detector, load
 
 import mistray
 from mistray.metrics.parameters import KINDS, groups, match, parameters
+from mistray.metrics.scene_values import changed
 
 pytestmark = pytest.mark.quick
 
@@ -178,6 +179,16 @@ def test_what_is_kept_or_without_use_and_groups() -> None:
     }  # the prism's faces point to different sides
     for name, keys in groups(known).items():
         assert len({known[key].kind for key in keys}) == 1, name
+
+
+def test_what_is_changed_and_restored_has_the_digits_of_the_scene() -> None:
+    """Numbers that single precision does not hold."""
+    here = scene(lamp={"type": "point_source", "z": -100.1, "half_angle_deg": 0.7})
+    before = {key: parameters(here)[key] for key in ("front.x", "lamp.z", "lamp.half_angle_deg")}
+    for key, p in before.items():
+        with changed(mi.traverse(here), {key: p.value + p.tolerance}):
+            assert parameters(here)[key].value == pytest.approx(p.value + p.tolerance, rel=1e-6)
+        assert parameters(here)[key].value == p.value
 
 
 def test_match(known: dict[str, Any]) -> None:

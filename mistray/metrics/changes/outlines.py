@@ -33,7 +33,8 @@ class Rim:
     points : (n, 3) float64
         Points on the rim, mm.
     inward : (n, k, 3) float64
-        Points of a line over the surface, inward from each of these points, mm.
+        Points of a line inward from each of these points, mm: along the profile of a surface of revolution, else
+        straight to the mean of the corners.
     """
 
     points: np.ndarray

@@ -134,6 +134,8 @@ class ParaxialSystem:
         """
         Return the heights and slopes of the ray of a field angle through the centre of the stop.
 
+        The vertices must ascend along the axis, so that light meets no mirror before the stop.
+
         Parameters
         ----------
         field_deg : float
@@ -191,7 +193,7 @@ class ParaxialSystem:
         Returns
         -------
         list of Ghost
-            Ghosts, n(n-1)/2 for n reflecting surfaces.
+            Ghosts, n(n-1)/2 for n surfaces; those of a surface without reflectance have no power.
 
         Raises
         ------
