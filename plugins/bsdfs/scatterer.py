@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -17,6 +16,7 @@ from mistray.ranges import SHARE
 from mistray.scatter import Placement
 from mistray.scatter.kinds import add_kind
 from mistray.scatter.lobe import PLACEMENT
+from mistray.surfaces.upload import numbers_of
 
 REFLECTANCE = Param(
     "1",
@@ -107,16 +107,12 @@ class Scatterer(Interface):
 
         If a value is out of range or is not a single number, raise `MistrayError` and leave everything unchanged.
         """
-        given = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.values.values())
-        for name, value in zip(self.values, given, strict=True):
-            if value.shape != (1,):
-                raise MistrayError(f"{self.title}: {name} has {len(value)} entries; give one number")
+        given = numbers_of(self.values, self.title)
         # Values are compared as rounded, so that unchanged ones keep the digits of the scene
-        now = self.model.values
-        moved = {n: float(v[0]) for n, v in zip(self.values, given, strict=True) if v[0] != np.float32(now[n])}
+        moved = {name: value for name, value in given.items() if value != np.float32(self.model.values[name])}
         if moved:
             self.model = self.model.changed(**moved)
-        self._model_held = given
+        self._model_held = tuple(np.array([value]) for value in given.values())
 
     def _named_scatterers(self) -> dict[str, Any]:
         return {}
