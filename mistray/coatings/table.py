@@ -72,8 +72,9 @@ class CoatingTable:
         Return the coating table in a CSV file.
 
         The columns wavelength_nm and angle_deg are required, with R and T, or R_s, R_p, T_s, T_p. R_back, or R_back_s
-        and R_back_p, are optional, for a coating that absorbs. The phases phase_r_deg, phase_t_deg and phase_r_back_deg
-        are optional, too: phase of s minus phase of p, by default 180, 0 and 180. Lines that start with # are comments.
+        and R_back_p, are optional, for a coating that absorbs; without them R holds from both sides. The phases
+        phase_r_deg, phase_t_deg and phase_r_back_deg are optional, too: phase of s minus phase of p, by default 180, 0
+        and 180, or without R_back twice phase_t_deg minus phase_r_deg. Lines that start with # are comments.
 
         Raises
         ------
@@ -140,8 +141,8 @@ class CoatingTable:
         phases = {
             key: np.asarray(columns.get(key, np.full(len(lam), default))) for key, default in DEFAULT_PHASES.items()
         }
-        if "phase_r_back_deg" not in columns and behind is None and "phase_r_deg" in columns:
-            phases["phase_r_back_deg"] = phases["phase_r_deg"]
+        if "phase_r_back_deg" not in columns and behind is None:  # Stokes' relation: it absorbs nothing, r' = -r* t/t*
+            phases["phase_r_back_deg"] = 2 * phases["phase_t_deg"] - phases["phase_r_deg"]
         angles_of = [phases[key][order].reshape(shape) for key in ("phase_r_deg", "phase_r_back_deg", "phase_t_deg")]
         phasors = np.exp(1j * np.radians(np.stack(angles_of, axis=-1)))
         return cls(name, wavelengths, np.cos(np.radians(angles[::-1])), shares, phasors)

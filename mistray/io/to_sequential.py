@@ -275,19 +275,16 @@ class _Walk:
         p = self.prescription
         if p.stop is None:
             return None
-        sense, passed = (
-            1.0,
-            True,
-        )  # of the light along z, and whether it is past the last surface when it is at the stop
+        sense, to_come = 1.0, True  # of the light along z, and whether the stop lies ahead of it
         for place, surface in enumerate(p.surfaces):
             along = float(surface.to_world()[2, 2])
             if math.hypot(surface.x, surface.y) > _TINY or abs(along) < 1 - _TINY:
                 return place
             r = min(p.stop.radius, surface.outer_radius)
             ahead = sense * (surface.z + along * (float(surface.z_at(r)) - surface.z) - p.stop.z_front)
-            if passed and ahead >= -_TINY:
+            if to_come and ahead >= -_TINY:
                 return place
-            passed = (ahead if surface.mirror else -ahead) >= -_TINY
+            to_come = (ahead if surface.mirror else -ahead) >= -_TINY
             sense = -sense if surface.mirror else sense
         return len(p.surfaces)
 

@@ -64,13 +64,16 @@ def to_optiland(prescription: Prescription, field_deg: float | Sequence[float] |
     surfaces = {surface.name: surface for surface in prescription.surfaces}
     media: dict[str, Any] = {}
     optic.surfaces.add(index=0, thickness=lens.object_distance, material=_medium(lens, lens.object_material, media))
-    before, sense = lens.object_material, 1.0  # sense: that of light along z
+    before, light = lens.object_material, np.array([0.0, 0.0, 1.0])  # light: direction of travel along the axis
     for number, row in enumerate(lens.rows, 1):
         what = f"prescription '{lens.name}', surface '{row.label}'"
         behind = before if row.mirror else row.material
         coating = None
         if row.kind == "surface" and (surface := surfaces.get(row.label)):
-            coating = _coating(what, surface, sense * surface.to_world()[2, 2] > 0, lens, losses)
+            normal = surface.to_world()[:3, 2]
+            coating = _coating(what, surface, float(light @ normal) > 0, lens, losses)
+            if row.mirror:
+                light = light - 2 * (light @ normal) * normal
         optic.surfaces.add(
             index=number,
             comment=row.label,
@@ -81,7 +84,7 @@ def to_optiland(prescription: Prescription, field_deg: float | Sequence[float] |
             coating=coating,
             **_figure(what, row),
         )
-        before, sense = behind, -sense if row.mirror else sense
+        before = behind
     optic.set_aperture(aperture_type=_APERTURES[lens.aperture_kind], value=lens.aperture)
     optic.fields.set_type("angle" if lens.field_kind == "angle_deg" else "object_height")
     if field_deg is not None and lens.field_kind != "angle_deg":

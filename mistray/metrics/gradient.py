@@ -349,7 +349,7 @@ def gradient_where_smooth(
     left_out = [LEFT_OUT]
     raws = _tables(observations, request)
     left_out += dict.fromkeys(text for raw in raws for text in raw.left_out)
-    if (getattr(metric, "settings", None) or {}).get("field_mm") and "z" in request.sources:
+    if "z" in request.sources and any(view.arguments.get("field_mm") for view in metric.views):
         left_out.append(HEIGHT)
     places = {(id(p.owner), p.name) for p in chosen.values()}
 

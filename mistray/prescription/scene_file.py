@@ -186,8 +186,9 @@ def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
     assert prescription.source is not None
     own = [_Node("integrator", "straylight", "integrator"), _source(prescription.source)]
     shared = prescription.shared_coatings().keys() | prescription.shared_scatter().keys()
-    for name in {"type", *(node.id for node in own)} & {*shared, *(shape.name for shape in prescription.shapes())}:
-        raise MistrayError(f"prescription '{prescription.name}': '{name}' is a name of the scene's own; rename it")
+    names = map(str, (*shared, *(shape.name for shape in prescription.shapes())))
+    if taken := sorted({"type", *(str(node.id) for node in own)}.intersection(names)):
+        raise MistrayError(f"prescription '{prescription.name}': '{taken[0]}' is a name of the scene's own; rename it")
     yield "", own[:1]
     yield "Light", own[1:]
     yield "Coatings of several surfaces", [_thinfilm(coating) for coating in prescription.shared_coatings().values()]

@@ -49,4 +49,4 @@ def detector_area(table: SurfaceTable) -> float:
     shape: Any = table.shapes[table.detector]
     if table.detector >= len(table.pieces):
         return outline(shape).area
-    return float(table.pieces[table.detector].areas(AREA_PARTS, AREA_PARTS).sum())
+    return area_of(shape)

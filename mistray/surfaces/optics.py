@@ -57,6 +57,10 @@ AT_ONCE = 1024  # intervals
 REFLECTION_FRONT, REFLECTION_BACK, TRANSMISSION = range(3)
 
 
+Sides = tuple[bool, bool]  # in front and behind
+LIT: Sides = (False, False)
+
+
 @dataclass(frozen=True)
 class AngleTable:
     """
@@ -146,7 +150,7 @@ def total_variable(sin2_t: Any, eta: Any, cos_i: Any) -> Any:
 
 
 def angle_table(
-    coating: Any, wavelength_nm: float, n_front: complex, n_back: complex, opaque: bool, stokes: bool
+    coating: Any, wavelength_nm: float, n_front: complex, n_back: complex, opaque: bool, stokes: bool, dark: Sides = LIT
 ) -> AngleTable:
     """
     Return the table of R and T of a coating over the angle of incidence.
@@ -166,32 +170,31 @@ def angle_table(
         Whether light that enters is absorbed. Cosines are then those on the side of incidence, and T is 0.
     stokes : bool
         Whether each channel has four values, for Stokes vectors, instead of one.
+    dark : (bool, bool)
+        Whether no light travels in front, and behind. R from there is never read: it is that from the other side.
     """
     # Layers are identified by the names of their materials, and the data in a file may have changed
     indices = coating.indices(wavelength_nm) if isinstance(coating, Stack) else ()
-    return _known_table(coating, indices, wavelength_nm, n_front, n_back, opaque, stokes)
+    return _known_table(coating, indices, wavelength_nm, (n_front, n_back), opaque, stokes, dark)
 
 
 @lru_cache(maxsize=512)
 def _known_table(
-    coating: Any,
-    _indices: tuple[complex, ...],
-    wavelength_nm: float,
-    n_front: complex,
-    n_back: complex,
-    opaque: bool,
-    stokes: bool,
+    coating: Any, _indices: Any, nm: float, sides: tuple[complex, complex], opaque: bool, stokes: bool, dark: Sides
 ) -> AngleTable:
     """Return the table that `angle_table` describes, cached by coating, layer indices, as files change, and media."""
-    sides = n_front, n_back
+    n_front, n_back = sides
 
     def refraction(x: np.ndarray) -> np.ndarray:
         at_front, at_back = (x, x) if opaque else node_cosines(n_front.real, n_back.real, x)[:2]
-        return refraction_rows(coating, wavelength_nm, sides, opaque, stokes, at_front, at_back)
+        rows = refraction_rows(coating, nm, sides, opaque, stokes, at_front, at_back)
+        for side in np.flatnonzero(dark):
+            rows[:, side] = rows[:, 1 - side]
+        return rows
 
     def total(x: np.ndarray) -> np.ndarray:
         cosines = node_cosines(n_front.real, n_back.real, x)[2]
-        return total_rows(coating, wavelength_nm, sides, stokes, cosines)
+        return total_rows(coating, nm, sides, stokes, cosines)
 
     first, first_error = _refined(refraction)
     if opaque or n_front.real == n_back.real:  # there is no critical angle
@@ -409,7 +412,7 @@ class Optics:
         for i, bsdf in enumerate(bsdfs):
             sides = self.complex_indices[i]
             opaque = bsdf.opaque or bool(dark[i].any())
-            kind = self._kind(bsdf, max(n.imag for n in sides))
+            kind = self._kind(bsdf, bool(dark[i].any()), max(n.imag for n in sides))
             self.kinds.add(kind)
             words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
             words[i] |= ONE_CHILD if bsdf.one_child else 0
@@ -421,15 +424,11 @@ class Optics:
             if kind == IDEAL:
                 self.host_indices[i, 2:] = bsdf.coating.R, bsdf.coating.T
             elif kind == TABLED:
-                table = angle_table(bsdf.coating, wavelength_nm, *sides, opaque, stokes)
+                unlit = bool(dark[i, 0]), bool(dark[i, 1])
+                table = angle_table(bsdf.coating, wavelength_nm, *sides, opaque, stokes, unlit)
                 self.error = max(self.error, table.refraction_error, table.total_error)
                 both = [self._rows(part) for part in (table.refraction, table.total)]
-                self.host_places[i] = (
-                    self.rows,
-                    len(both[0]) - 1,
-                    self.rows + len(both[0]),
-                    len(both[1]) - 1,
-                )
+                self.host_places[i] = self.rows, len(both[0]) - 1, self.rows + len(both[0]), len(both[1]) - 1
                 rows += both
                 self.rows += sum(map(len, both))
             if kind != TABLED:  # a row of its own, for the gradient
@@ -526,11 +525,11 @@ class Optics:
                 found[Message.UNFITTED_PRESET.note(False, what=text)] = None
         return list(found)
 
-    def _kind(self, bsdf: Any, k: float) -> int:
+    def _kind(self, bsdf: Any, dark: bool, k: float) -> int:
         if bsdf.ideal:
             return IDEAL
-        # The kernel's own equations leave out k, an error of R of about k²
-        exact = k * k <= TABLE_ERROR
+        # The kernel's own equations leave out k, an error of R of about k²; of a dark body they have no index
+        exact = k * k <= TABLE_ERROR and not dark
         return FRESNEL if isinstance(bsdf.coating, Bare) and exact else TABLED
 
     @cached_property

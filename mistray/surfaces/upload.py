@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import drjit as dr
@@ -59,16 +59,33 @@ def download(vector: Any) -> np.ndarray:
     return np.array(components).T
 
 
-def numbers_of(parameters: Mapping[str, Any], owner: str) -> dict[str, float]:
+def changed_numbers(
+    parameters: Mapping[str, Any],
+    owner: str,
+    before: Mapping[str, float],
+    loaded: Mapping[str, float],
+    in_double: Container[str] = (),
+) -> dict[str, float]:
     """
-    Return the values of differentiable parameters, by name.
+    Return the values of a plugin's differentiable parameters that differ from those `before`, by name.
 
-    Raise `MistrayError` if one is not a single number; `owner` begins the message.
+    Parameters have single precision unless they are `in_double`. Values are compared as rounded to that, and those that
+    are again what the scene gave have its digits, which are in `loaded`.
+
+    Raises
+    ------
+    MistrayError
+        If a parameter is not a single number; `owner` begins the message.
     """
+    found = {}
     for name, value in parameters.items():
-        if len(value) != 1:
-            raise MistrayError(f"{owner}: {name} has {len(value)} entries; give one number")
-    return {name: float(dr.detach(value)[0]) for name, value in parameters.items()}
+        entries = np.array(dr.detach(value), dtype=np.float64)
+        if entries.shape != (1,):
+            raise MistrayError(f"{owner}: {name} has {entries.size} entries; give one number")
+        kind = np.float64 if name in in_double else np.float32
+        if entries[0] != kind(before[name]):
+            found[name] = loaded[name] if entries[0] == kind(loaded[name]) else float(entries[0])
+    return found
 
 
 def upload_rows(kind: Any, values: np.ndarray) -> Any:

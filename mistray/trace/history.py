@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -177,7 +178,10 @@ def spread(count: int, most: int | None) -> np.ndarray:
 
 def golden_order(count: int) -> np.ndarray:
     """Return the indices from 0 to count - 1, (count,) int, in an order of which every beginning is spread over all."""
-    return np.argsort(np.argsort(np.arange(count) * GOLDEN % 1))
+    stride = max(1, round(GOLDEN * count))  # coprime to the count, it visits all
+    while math.gcd(stride, count) > 1:
+        stride += 1
+    return np.arange(count) * stride % count
 
 
 def over_the_beam(count: int, most: int | None) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -16,7 +17,7 @@ from mistray.ranges import SHARE
 from mistray.scatter import Placement
 from mistray.scatter.kinds import add_kind
 from mistray.scatter.lobe import PLACEMENT
-from mistray.surfaces.upload import numbers_of
+from mistray.surfaces.upload import changed_numbers
 
 REFLECTANCE = Param(
     "1",
@@ -68,6 +69,7 @@ class Scatterer(Interface):
         self.model = self._read_model(props)
         self._placement = {key: self._take(props, key) for key in PLACEMENT if key in props}
         self.values = {name: mi.Float(value) for name, value in self.model.values.items()}
+        self._loaded = dict(self.model.values)
         self._model_held: tuple[np.ndarray, ...] = ()
         self.rebuild_model()
         # Absolute scatter takes its light from the absorbed light: by default all light is absorbed
@@ -107,12 +109,10 @@ class Scatterer(Interface):
 
         If a value is out of range or is not a single number, raise `MistrayError` and leave everything unchanged.
         """
-        given = numbers_of(self.values, self.title)
-        # Values are compared as rounded, so that unchanged ones keep the digits of the scene
-        moved = {name: value for name, value in given.items() if value != np.float32(self.model.values[name])}
+        moved = changed_numbers(self.values, self.title, self.model.values, self._loaded)
         if moved:
             self.model = self.model.changed(**moved)
-        self._model_held = tuple(np.array([value]) for value in given.values())
+        self._model_held = tuple(np.array(dr.detach(value)) for value in self.values.values())
 
     def _named_scatterers(self) -> dict[str, Any]:
         return {}

@@ -24,7 +24,7 @@ from mistray.spectra.spectrum import (
     light_of,
     of_lines,
 )
-from mistray.surfaces.upload import numbers_of
+from mistray.surfaces.upload import changed_numbers
 
 BAND = {
     "band_nm": fixed(
@@ -328,12 +328,7 @@ class LightSource(mi.Emitter):
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
         before, changed = self.values, dict.fromkeys(self.parameters, 0.0)
         try:
-            # Values are compared as rounded, so that unchanged and restored ones have the digits of the scene
-            changed = {
-                key: self._loaded[key] if value == float(np.float32(self._loaded[key])) else value
-                for key, value in numbers_of(self.parameters, self.owner).items()
-                if value != float(np.float32(before[key]))
-            }
+            changed = changed_numbers(self.parameters, self.owner, before, self._loaded)
             self.values = before | changed
             for key, value in changed.items():
                 self.ranges[key].check(key, value, self.owner)

@@ -15,7 +15,7 @@ from mistray.param import OBJECT, REQUIRED, Param, fixed, take
 from mistray.physics.geometry.pose import moved, rigid_motion
 from mistray.ranges import AZIMUTH_DEG, FINITE, PLACE_MM, SPACE, TEXT, Range
 from mistray.surfaces.gradient_columns import POSE, declare_columns
-from mistray.surfaces.upload import numbers_of
+from mistray.surfaces.upload import changed_numbers
 
 if TYPE_CHECKING:
     from mistray.surfaces.surface import TracedSurface
@@ -207,12 +207,8 @@ class FormulaShape(mi.Mesh):
         parameters = self.__dict__.get("parameters", {})
         before, changed = self.__dict__.get("values", {}), dict.fromkeys(parameters, 0.0)
         try:
-            # Values are compared as rounded, so that unchanged and restored ones have the digits of the scene
-            changed = {
-                key: self._loaded[key] if value == self._rounded(key, self._loaded[key]) else value
-                for key, value in numbers_of(parameters, self.owner).items()
-                if (not keys or key in keys) and value != self._rounded(key, before[key])
-            }
+            asked = {key: value for key, value in parameters.items() if not keys or key in keys}
+            changed = changed_numbers(asked, self.owner, before, self._loaded, self.in_double)
             if not changed:
                 mi.Mesh.parameters_changed(self, keys)
                 return
@@ -226,10 +222,6 @@ class FormulaShape(mi.Mesh):
             self.check()  # a subclass keeps there what follows from its values
             raise
         write_mesh(self, *mesh)
-
-    def _rounded(self, key: str, value: float) -> float:
-        """Return a value as the parameter holds it, in single precision unless it is in `in_double`."""
-        return value if key in self.in_double else float(np.float32(value))
 
     def to_string(self) -> str:
         inside = ", ".join(f"{key} = {value:g}" for key, value in self.values.items() if value)

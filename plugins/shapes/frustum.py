@@ -57,6 +57,7 @@ class Frustum(Revolution):
         **MOVES,
         **NAMES,
     }
+    mesh_points = 2  # a straight generatrix
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
@@ -116,8 +117,6 @@ class Frustum(Revolution):
     def flipped(self) -> bool:
         v = self.values
         return v["r1"] < v["r0"] if self.flat else v["z1"] > v["z0"]
-
-    mesh_points = 2  # a straight generatrix
 
     def profile(self, count: int = 9) -> np.ndarray:
         v = self.values

@@ -267,6 +267,26 @@ def at(table: CoatingTable, nm: float, degrees: float, from_front: bool = True):
     return table.response(nm, RARE, DENSE, cosine, from_front)
 
 
+def test_the_phase_from_the_back_of_a_coating_that_absorbs_nothing(read) -> None:
+    """Stokes' relation, held against the layers that the table is made of."""
+    layers, cosine = Stack((Layer("MgF2", 120.0), Layer("TiO2", 60.0))), np.cos(np.radians([60.0]))
+    front, behind = (
+        layers.response(550.0, RARE, DENSE, c, c is cosine)
+        for c in (cosine, np.sqrt(1 - (1 - cosine**2) / DENSE.real**2))
+    )
+    numbers = *front.R[0], *front.T[0] - 1e-6, *np.degrees([front.phase_r[0], front.phase_t[0]])
+    columns = ["R_s", "R_p", "T_s", "T_p", "phase_r_deg", "phase_t_deg"]
+    found = CoatingTable.from_columns(
+        "ar",
+        {
+            key: np.array([v])
+            for key, v in zip(["wavelength_nm", "angle_deg", *columns], (550, 60, *numbers), strict=True)
+        },
+    )
+    turned = at(found, 550.0, 60.0, from_front=False).phase_r[0] - behind.phase_r[0]
+    assert np.angle(np.exp(1j * turned)) == pytest.approx(0, abs=1e-5)
+
+
 def test_shares_of_polarisations_and_sides_and_phases(read) -> None:
     """At the nodes, linear between them in wavelength and cosine; beyond the steepest angle the last value holds."""
     table = read(PLAIN)

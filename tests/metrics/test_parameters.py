@@ -184,7 +184,7 @@ def test_what_is_kept_or_without_use_and_groups() -> None:
 def test_what_is_changed_and_restored_has_the_digits_of_the_scene() -> None:
     """Numbers that single precision does not hold."""
     here = scene(lamp={"type": "point_source", "z": -100.1, "half_angle_deg": 0.7})
-    before = {key: parameters(here)[key] for key in ("front.x", "lamp.z", "lamp.half_angle_deg")}
+    before = {key: parameters(here)[key] for key in ("front.x", "lamp.z", "lamp.half_angle_deg", "polish.l")}
     for key, p in before.items():
         with changed(mi.traverse(here), {key: p.value + p.tolerance}):
             assert parameters(here)[key].value == pytest.approx(p.value + p.tolerance, rel=1e-6)

@@ -14,7 +14,7 @@ from refusals import refused
 
 import mistray
 from mistray.files.ray_sets import RaySet, read_ray_set, save_ray_set
-from mistray.optimize import path_power
+from mistray.optimize import combine, path_power
 from mistray.physics.planck import band_radiance
 from mistray.plugins.emitters.light_source import LightSource
 from mistray.sampling.sources import scene_sources
@@ -287,8 +287,10 @@ def test_gradient(name: str) -> None:
 def test_a_height_is_held_as_an_angle() -> None:
     here = scene(GRADIENTS["distance"][0])
     for field, told in (({"field_mm": 5.0}, True), ({"field_deg": 5.0}, False)):
-        found = mistray.gradient(path_power(here, "direct", rays=1000, **field), mi.traverse(here), keys=["lamp.z"])
-        assert any("field_mm" in text for text in found.left_out) is told
+        metric = path_power(here, "direct", rays=1000, **field)
+        for one in metric, combine({"light": metric}, lambda m: m["light"]):
+            found = mistray.gradient(one, mi.traverse(here), keys=["lamp.z"])
+            assert any("field_mm" in text for text in found.left_out) is told
 
 
 def test_every_gradient_is_compared() -> None:

@@ -188,6 +188,8 @@ def test_dark_bodies_metals_and_cubes() -> None:
     t = mistray.trace(scene, rays=100, max_reflections=0)
     assert t.energy.detected_W == 0
     assert t.energy.absorbed["face"][0] == pytest.approx(0.96 * t.energy.launched_W, rel=1e-3)
+    weak = mistray.trace(plate("1.5+0.0005i", 10.0, 550.0), rays=100, max_reflections=0)
+    assert weak.energy.absorbed["face"][0] == pytest.approx(0.96 * weak.energy.launched_W, rel=1e-5)
     note, lost = t.own_notes
     assert lost == "no light reaches the detector: 'face' takes 96 % of it"
     assert "'face' takes 96 %" in repr(t)

@@ -294,16 +294,17 @@ def _shares(
     divided = np.zeros(len(x), dtype=bool)
     cut = beside(lit.ravel()) & beside(~lit.ravel())
     every = np.flatnonzero(known)
-    seen = look(every, 1 << max(0, int(np.log2(LOOKS / len(x)))))[1]
-    cut[every] |= np.any(seen != lit.ravel()[every, None], axis=1)
+    passes = look(every, 1 << max(0, int(np.log2(LOOKS / len(x)))))[1]
+    cut[every] |= np.any(passes != lit.ravel()[every, None], axis=1)
     while len(cells := np.flatnonzero(cut & known & ~divided)):
         rays, passes = look(cells, PARTS)
         share[cells] = passes.mean(axis=1)
         points = design_light(path, *rays).hit.reshape(*passes.shape, 3)
-        some = passes.any(axis=1)
-        hits[cells[some]] = np.mean(points[some], axis=1, where=passes[some, :, None])
+        seen = passes & np.isfinite(points).all(axis=2)
+        some = seen.any(axis=1)
+        hits[cells[some]] = np.mean(points[some], axis=1, where=seen[some, :, None])
         apart = points[some] - hits[cells[some], None]
-        blur[cells[some]] = np.mean((apart**2).sum(axis=2), axis=1, where=passes[some])
+        blur[cells[some]] = np.mean((apart**2).sum(axis=2), axis=1, where=seen[some])
         divided[cells] = True
         cut = beside(divided & (share > 0) & (share < 1))
     return share, hits, blur

@@ -181,7 +181,7 @@ def run(
     passed, design = math.nan, list[str]()
     if path is not None:  # of all the light, as the PST is
         lines = zip(*spectrum_of(scene, light.get("wavelength_nm"), light.get("weights")), strict=True)
-        passed = sum(float(part) * transmittance(SurfaceTable(scene, float(nm)), path) for nm, part in lines)
+        passed = sum(float(part) * transmittance(path.at(float(nm)).table, path) for nm, part in lines)
         design = [table.ids[step.surface] for step in path.steps]
     done(stray_light_analysis(report, curve, numbers, passed, design, images))
     settings = {"rays": count, **_angles_and_light(report, curve), **asked, **given}

@@ -21,7 +21,7 @@ from mistray.metrics.scene_values import changed
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum, spectrum_of
 from mistray.scene import find, load
 from mistray.scene.check import check_overlaps
-from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, time_is_up, within
+from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, within
 from mistray.toolkit.analysis import analysis
 from mistray.trace import Settings, trace
 
@@ -99,11 +99,10 @@ def run(
     angles = _angles(loaded, request.field_deg, azimuth_deg, wavelengths[0])
     arguments = ({} if azimuth_deg is None else {"azimuth_deg": azimuth_deg}) | dict(request.settings)
     cells = [Cell(one, wavelength, angle) for one in chosen for wavelength in wavelengths for angle in angles]
-    asked = Settings.of(loaded, **request.settings)
     store, warnings = _cache_of(source, loaded, cache)
     kept = None
     if store is not None and contents is not None:
-        kept = KeptRows(store, contents, traced_facts(contents, asked, azimuth_deg))
+        kept = KeptRows(store, contents, traced_facts(contents, Settings.of(loaded, **request.settings), azimuth_deg))
     found = kept.read(cells) if kept is not None else {}
     reused, short = len(found), list[Cell]()
     contacts = Contacts(loaded) if any(one.values for one in chosen) else None
@@ -138,13 +137,12 @@ def run(
         part = _part(progress, len(found), len(cells))
         try:
             with shares.one():
-                found[cell] = _traced(loaded, cell, arguments, part)
-                unfinished = time_is_up() and found[cell]["rays"] < asked.rays
+                found[cell], complete = _traced(loaded, cell, arguments, part)
         except UnfinishedError as error:
             raise UnfinishedError(f"{cell}: {error}", result()) from None
         except MistrayError as error:
             raise MistrayError(f"{cell}: {error}") from None
-        if unfinished:
+        if not complete:
             short.append(cell)
         elif kept is not None:
             kept.keep(cell, found[cell])
@@ -175,10 +173,10 @@ def run(
 sweep = analysis("sweep", SweepRequest, run, ("field_deg", "wavelength_nm", "configurations"))
 
 
-def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any) -> Numbers:
-    return numbers_of(
-        trace(scene, field_deg=cell.field_deg, wavelength_nm=cell.wavelength_nm, progress=progress, **arguments)
-    )
+def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any) -> tuple[Numbers, bool]:
+    """Return the numbers of a row, and whether all of its rays were traced in the time left."""
+    t = trace(scene, field_deg=cell.field_deg, wavelength_nm=cell.wavelength_nm, progress=progress, **arguments)
+    return numbers_of(t), t.rays_traced >= t.rays_planned
 
 
 @contextlib.contextmanager

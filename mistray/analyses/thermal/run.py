@@ -199,7 +199,10 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
     """
     names: dict[Key, tuple[str, ...]] = {("surface", row.id): (row.id, row.part) for row in seen[0].rows}
     names.setdefault(("surface", seen[0].detector), (seen[0].detector,))
-    names |= {("medium", material): tuple(one.named[material]) for one in seen for material in one.media}
+    for one in seen:
+        for material in one.media:
+            key = "medium", material
+            names[key] = (*names.get(key, ()), *one.named[material])
     found = dict.fromkeys(names, default_K)
     for pattern, kelvin in rules.items():
         fitting = (key for key, titles in names.items() if any(fits(title, pattern) for title in titles))

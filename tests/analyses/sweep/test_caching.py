@@ -56,9 +56,9 @@ def traces(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Notes every trace and makes up its numbers: what is found in the cache has nothing to do with them."""
     done: list[str] = []
 
-    def note(scene: Any, cell: Any, *_: Any) -> dict[str, Any]:
+    def note(scene: Any, cell: Any, *_: Any) -> tuple[dict[str, Any], bool]:
         done.append(str(cell))
-        return made_up(len(done), stray_W=0.1 + len(done), stray_se_W=float("nan"), worst_path=None)
+        return made_up(len(done), stray_W=0.1 + len(done), stray_se_W=float("nan"), worst_path=None), True
 
     monkeypatch.setattr(sweeping, "_traced", note)
     return done
@@ -98,25 +98,18 @@ class TestReuse:
     def test_an_interrupted_sweep_goes_on(self, lens: Path, kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         done = []
 
-        def fail(scene: Any, cell: Any, *_: Any) -> dict[str, Any]:
+        def fail(scene: Any, cell: Any, *_: Any) -> tuple[dict[str, Any], bool]:
             if len(done) == 3:
                 raise KeyboardInterrupt
             done.append(cell)
-            return made_up(len(done))
+            return made_up(len(done)), True
 
         monkeypatch.setattr(sweeping, "_traced", fail)
         with pytest.raises(KeyboardInterrupt):
             mistray.sweep(lens, cache=kept, **ASKED)
-        monkeypatch.setattr(sweeping, "_traced", lambda *_: made_up(0))
+        monkeypatch.setattr(sweeping, "_traced", lambda *_: (made_up(0), True))
         found = mistray.sweep(lens, cache=kept, **ASKED)
         assert [row["number"] for row in found.rows] == [1, 2, 3, 0]
-
-    def test_the_time_ends_with_all_rays_of_a_row(
-        self, lens: Path, kept: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(sweeping, "time_is_up", lambda: True)
-        assert [mistray.sweep(lens, cache=kept, **ASKED).reused for _ in range(2)] == [0, 4]
-        assert mistray.sweep(lens, cache=kept, **ASKED).warnings == ()
 
     def test_rows_before_an_error_are_kept(self, lens: Path, kept: Path) -> None:
         """A wavelength at which the glass is not known."""
@@ -128,11 +121,11 @@ class TestReuse:
         """A glass table is read when a wavelength needs it: what follows a change is not kept under the old content."""
         done: list[str] = []
 
-        def change(scene: Any, cell: Any, *_: Any) -> dict[str, Any]:
+        def change(scene: Any, cell: Any, *_: Any) -> tuple[dict[str, Any], bool]:
             done.append(str(cell))
             if len(done) == 3:
                 (lens.parent / "glass.csv").write_text(TABLE.replace("1.53", "1.6"))
-            return made_up(len(done))
+            return made_up(len(done)), True
 
         monkeypatch.setattr(sweeping, "_traced", change)
         found = mistray.sweep(lens, cache=kept, **ASKED)
