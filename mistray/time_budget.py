@@ -87,7 +87,9 @@ def can_draw() -> bool:
 
 def searched() -> float:
     """
-    Return the fraction of its rays that a search before a trace may use: 1/8, 1/4, 1/2, or 1, as without a budget.
+    Return the fraction of its rays that a search before a trace may use, by the time left.
+
+    It is 1 from 64 s or without a budget, 1/2 from 32 s, 1/4 from 16 s, else 1/8.
 
     Such a search, for example for targets, takes seconds. With fewer rays its result is coarser. The trace is then less
     accurate, but still correct.

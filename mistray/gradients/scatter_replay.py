@@ -339,9 +339,9 @@ class ReplayRadial(RadialSampler):
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
         """
-        Return the value f of a table, 1/sr, at the squared radius r2 from the lobe's centre.
+        Return the value f of radial table `table`, 1/sr, at the squared distance r2, see `RadialSampler.value`.
 
-        It carries derivatives with respect to the radius and to the entries of the table.
+        It carries derivatives with respect to the distance and to the entries of the table.
         """
         place = radial_place(r2)
         held = dr.detach(place)

@@ -79,7 +79,11 @@ class RadialSampler:
         return [self._logs, self._cells]
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the profile f, 1/sr, of radial table `table` at the squared radius r2 from the lobe's centre."""
+        """
+        Return the profile f, 1/sr, of radial table `table` at the squared distance r2 from the lobe's centre.
+
+        The distance, 0 … 2, is in direction cosines, or for a lobe by angle the chord between unit vectors.
+        """
         place = radial_place(r2)
         node = mi.UInt32(place)
         low, high = self._pair(table, node, active)

@@ -365,10 +365,12 @@ class Scattering(ScatterShares):
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
         """
-        Return the lobes of a case, each with a mask of lanes and the fraction of incident flux that it scatters.
+        Return the lobes of a case as values by lane, as many as the case with most lobes has.
 
         `plan` is the row of the case in `ScatterTables.cases`, `x` the coating's R or T, and `cos_i` the cosine of
-        incidence.
+        incidence. Of each lobe, "here" is the mask of lanes that have it, "coefficient" the factor on its profile, and
+        "total" the profile's integral. "flux" is their product, 0 where masked, by which lobes are drawn: it includes
+        directions beyond the horizon, and leaves out cosine factor and ratio table. "slope" is d ln(flux)/dx.
         """
         # All cases read as many lobes as the largest has; those that a case has not are masked
         lobes = []

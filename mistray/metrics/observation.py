@@ -302,9 +302,10 @@ class Observation:
 
     def noise(self) -> Sampled:
         """
-        Return the metric's noise by batch, in its unit, to first order in the detected light.
+        Return the noise by batch, in its unit, of the metric whose derivatives `dr.backward` has left here.
 
-        The estimate's own value is the sum of flux times derivative; it is the metric only if that is linear in flux.
+        It is to first order in the detected light; without derivatives it is 0. The estimate's own value is the sum of
+        flux times derivative: the metric itself only if that grows in proportion to the flux.
         """
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)

@@ -231,7 +231,11 @@ def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
 
 
 def _map(of: Traced, factor: Floats) -> Floats:
-    """Return the stray power, W, in the detector's cells, (h, w), with each path's power times `factor`, (paths,)."""
+    """
+    Return the stray power, W, in the detector's cells, (h, w), with the power of paths times `factor`, (paths,).
+
+    Paths without a map of their own are multiplied by their mean factor.
+    """
     others = np.setdiff1d(np.flatnonzero(of.stray), of.maps.ways)
     power = np.asarray(of.ways.power_W)[others]
     rest = float((power * factor[others]).sum() / power.sum()) if power.sum() > 0 else 1.0

@@ -37,7 +37,11 @@ LABEL_HEIGHT = 0.62  # room for the names above the system, inches for each tent
 
 
 def groups(found: Objects) -> dict[str, str]:
-    """Return the colour group (a key of `STYLES`) of each shape by id. Of two sides the more important one counts."""
+    """
+    Return the colour group (a key of `STYLES`) of each shape by id; its sides count together.
+
+    A shape is "common" if one of its sides is, else "apart" if it is both seen and lit, on different sides or places.
+    """
     seen = {row.id for row in found.critical}
     lit = {row.id for row in found.illuminated}
     both = {row.id for row in found.common}

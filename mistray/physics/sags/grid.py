@@ -166,7 +166,11 @@ class Grid:
     # ---- values
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return x and y, in steps from the first grid point, and column and row of the cell, in the points' shape."""
+        """
+        Return points x, y, mm, in steps from the grid's corner of least x and y, and column and row of their cell.
+
+        All have the points' shape. The cell of a point outside the grid is the nearest.
+        """
         ny, nx = self.corners.shape[:2]
         u = (x - self.middle[0] + self.half[0]) / self.step[0]
         v = (y - self.middle[1] + self.half[1]) / self.step[1]

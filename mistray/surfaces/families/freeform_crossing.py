@@ -23,15 +23,19 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
     """
     Return the distance to a ray's first crossing with a freeform within its outline, mm; infinite for none.
 
+    Rays that travel against `Freeform.way` cross nothing.
+
     Parameters
     ----------
     ray : AxisRay
         Rays in the frame of the surface's axis.
     piece : Freeform
-        Surface whose forms of sag and outline are used; its parameters come from `n`.
+        Surface whose forms of sag and outline, and `way`, are used; its parameters come from `n`.
     n : mapping of str to mi.Float
-        Values of the parameters of the sag and the outline by name, with z, z_low, z_high, size, size2, slope2,
-        self_hit, half_x and half_y.
+        Values by name, see `Freeform.kernel_values`: parameters of the sag and the outline; z, the place of the sag's
+        frame on the axis, mm; z_low and z_high, the ends of the slab that holds the surface, mm from there; half_x and
+        half_y, half sizes of the outline's box, mm; size and size2, the surface's largest distance from the axis, mm,
+        and its square, mm²; slope2, the square of the bound of the slope; self_hit, the least distance of a hit, mm.
     own : mi.Bool
         Whether the ray starts on the surface.
     """

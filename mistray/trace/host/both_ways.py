@@ -152,7 +152,11 @@ class Arrivals:
 
     @property
     def stray(self) -> bool:
-        """True if the light was scattered or reflected, that is stray light rather than direct light."""
+        """
+        True if a surface scattered the light, or reflected it other than as a mirror or by total reflection.
+
+        False for the direct image, and for light that reaches the detector past the optics without such an event.
+        """
         return self.scattered or self.reflections > 0
 
     @property

@@ -27,14 +27,14 @@ class DesignLight:
     direction : (n, 3) float64
         Unit direction from the former to the latter.
     normal : (n, 3) float64
-        Unit normal of the detector.
+        Unit normal of the detector, from its front to its back, whichever side the light comes from.
     opl_mm : (n,) float64
         Optical path length from the origins to `last`, mm.
     index : float
         Refractive index before the detector.
     throughput : (n,) float64
-        Share of the flux at the first surface that reaches the detector, mean of both polarisations, without losses by
-        scatter; 1 if it was not requested.
+        Share of the flux at the first surface that reaches the detector, without losses by scatter: the product of R or
+        T of the surfaces, each in unpolarised light, and of what media between them pass; 1 if it was not requested.
     """
 
     last: Array

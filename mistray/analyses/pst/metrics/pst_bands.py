@@ -194,7 +194,11 @@ class PstBands:
         return self._noise(self.observe(values, **changes))
 
     def __call__(self, values: float | Sequence[float] | np.ndarray) -> Modelled:
-        """Return the PST bands for values of the parameters, (k,), with Monte Carlo noise and derivatives."""
+        """
+        Return the PST bands, in the order of `bands`, for values of the parameters, (k,), each in its unit.
+
+        They come with Monte Carlo noise and derivatives. The scene keeps the values.
+        """
         observation = self.observe(values)
         value, covariance = self._noise(observation)
         weights = self._weights(observation)
