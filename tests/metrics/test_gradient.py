@@ -545,6 +545,7 @@ def test_geometry_and_edges(scene: Any, differences: dict[str, tuple[float, floa
         assert all(abs(z) > 2 * LIMIT for z in off(gradient, differences).values())
 
 
+@pytest.mark.long
 def test_recorded_paths_go_with_their_gradient() -> None:
     """A search takes thousands of gradients, and the recorded paths of each are megabytes."""
     scene = mistray.load("plate_and_wall")

@@ -177,6 +177,7 @@ def test_wavelengths_count_by_the_light_that_arrives():
     assert found.shares == pytest.approx(light / light.sum(), rel=2e-3)
 
 
+@pytest.mark.long
 def test_spots_are_right_where_the_rim_is_steep():
     """A sag of A r¹² sends light 24 A f r¹¹ aside: RMS 24 A f R¹¹/√12 over a disc, to (R/f)²/2 = 0.8 %."""
     A, scene = 1e-17, paraboloid()
