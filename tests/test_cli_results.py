@@ -167,7 +167,7 @@ class TestSweep:
         assert "4 rows, 2 of them from the cache" in succeeds(capsys, "sweep", plate, *ASKED)
 
     def test_interrupted(self, capsys: Captured, plate: str, monkeypatch: Patch) -> None:
-        traced = Mock(side_effect=[{"number": 1}, {"number": 1}, KeyboardInterrupt()])
+        traced = Mock(side_effect=[({"number": 1}, True), ({"number": 1}, True), KeyboardInterrupt()])
         monkeypatch.setattr(importlib.import_module("mistray.analyses.sweep.run"), "_traced", traced)
         code, printed, errors = run(capsys, "sweep", plate, *ASKED)
         assert (code, printed, errors.count("\n")) == (130, "", 1)
