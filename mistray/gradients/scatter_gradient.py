@@ -196,7 +196,7 @@ def table_slopes(
                 yield LOGS, place, _sum((w, stored_logs(radial)) for w, _, radial in moved)
             done.add((LOGS, place))
             place = int(packed.words[k, 1]) + RATIO_HEAD
-            if member.lobe.ratio is not None and not member.lobe.ratio.fixed and (RATIOS, place) not in done:
+            if not member.lobe.fixed and (RATIOS, place) not in done:
                 yield RATIOS, place, _sum((w, lobe.ratio.values) for w, lobe, _ in moved if lobe.ratio is not None)
                 done.add((RATIOS, place))
 

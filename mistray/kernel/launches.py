@@ -172,6 +172,14 @@ def launches_of(table: SurfaceTable, settings: Settings, *writes: Hashable) -> L
     return _launches(tuple(table.ids), replace(settings, rays=1, seed=0), *writes)
 
 
+def golden_stride(count: int) -> int:
+    """Return a step through 0 … count-1, modulo `count`, that meets each once, and early ones spread over all."""
+    stride = max(1, round(GOLDEN * count))
+    while math.gcd(stride, count) > 1:
+        stride += 1
+    return stride
+
+
 class Spread:
     """
     Permutation of 0 … count-1 in which every prefix is spread evenly over the whole range.
@@ -192,9 +200,7 @@ class Spread:
         block = (np.arange(BATCHES) + (np.arange(BATCHES) * GOLDEN + rng.random()) % 1) * (count / BATCHES)
         self._size = max(1, count // (PACKET * PACKETS)) * PACKET
         packets = -(-count // self._size)
-        stride = max(1, round(GOLDEN * packets))
-        while math.gcd(stride, packets) > 1:
-            stride += 1
+        stride = golden_stride(packets)
         self._first = np.unique(block.astype(np.int64))
         self._packets = (rng.integers(packets) + np.arange(packets) * stride) % packets
         # Ends of the packets: the numbers of the first group are left out of theirs, and the last packet may be short

@@ -132,7 +132,7 @@ def side_of(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_
 def _known_side(*key: Any) -> Side | None:
     """Return the result of `side_of`; None if it has ratio tables, of megabytes, that change with its models."""
     side = _recent_side(*key)
-    return side if all(lobe.ratio is None or lobe.ratio.fixed for lobe in side.lobes) else None
+    return side if all(lobe.fixed for lobe in side.lobes) else None
 
 
 @lru_cache(maxsize=64)

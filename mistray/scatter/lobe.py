@@ -219,6 +219,11 @@ class Lobe:
         return self.ratio is not None and self.ratio.anisotropic
 
     @property
+    def fixed(self) -> bool:
+        """True if no parameter of the model changes a ratio table of the lobe, or it has none."""
+        return self.ratio is None or self.ratio.fixed
+
+    @property
     def r_max(self) -> float:
         """Largest possible distance r, dimensionless, of a scattered direction from the lobe's centre."""
         return 1.0 if self.centre == "normal" else 2.0

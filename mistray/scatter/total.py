@@ -69,7 +69,7 @@ def lobe_total(
     else:
         shape = lobe.event, lobe.centre, lobe.factor, lobe.ratio
         ratio = 1.0 if lobe.event == "reflection" else n_out / n_in  # one table for light of both sides
-        rings = _rings if lobe.ratio is None or lobe.ratio.fixed else _recent_rings
+        rings = _rings if lobe.fixed else _recent_rings
         r, weight, first = rings(*shape, cos_i.tobytes(), ratio, rotation if lobe.anisotropic else 0.0)
         values = np.add.reduceat(weight * table.value(r), first)
     if lobe.event == "transmission" and lobe.centre != "normal":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,7 +11,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
-from mistray.kernel.launches import GOLDEN
+from mistray.kernel.launches import GOLDEN, golden_stride
 from mistray.ranges import ANYTHING, RAYS_LISTED, ByName, several, shown
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.start_rays import StartRays
@@ -178,10 +177,7 @@ def spread(count: int, most: int | None) -> np.ndarray:
 
 def golden_order(count: int) -> np.ndarray:
     """Return the indices from 0 to count - 1, (count,) int, in an order of which every beginning is spread over all."""
-    stride = max(1, round(GOLDEN * count))  # coprime to the count, it visits all
-    while math.gcd(stride, count) > 1:
-        stride += 1
-    return np.arange(count) * stride % count
+    return np.arange(count) * golden_stride(count) % count
 
 
 def over_the_beam(count: int, most: int | None) -> np.ndarray:

@@ -84,7 +84,7 @@ class LineImage(Result):
         Points on the detector of the n × n cells of the pupil, x and y relative to the image point, mm; NaN in dark
         cells. Of a cell that a rim or a vane cuts it is the mean of the lit part.
     blur_mm2 : (n, n) float64
-        Mean square distance of the light of a cut cell from that point, mm²; 0 in other cells.
+        Mean square distance of the light of a cell at a rim from that point, mm²; 0 in other cells.
     stop_xy : (n, n, 2) float64
         Points where the rays cross the stop, in units of its radius; NaN in dark cells.
     stop_area : (n, n) float64

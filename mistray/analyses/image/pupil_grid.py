@@ -79,7 +79,7 @@ class PupilSamples:
         Points on the detector relative to the image point, mm; NaN in dark cells. Of a cell that is cut it is the mean
         of its lit part.
     blur : (n, n) float64
-        Mean square distance of the light of a cut cell from that point, mm²; 0 in other cells.
+        Mean square distance of the light of a cell at a rim from that point, mm²; 0 in other cells.
     stop : (n, n, 2) float64
         Points where the rays cross the stop, in units of its radius; NaN in dark cells.
     jacobian : (n, n) float64
@@ -263,7 +263,7 @@ def _shares(
     `x`, (cells, 2), and `slopes` are those of `_rays_to`; `lit`, (n, n), marks cells whose middle ray passes. `step` is
     their width in direction cosines. A few rays test every cell, because a vane narrower than a cell may lie between
     the middles. Cells that are cut, and their neighbours, are divided further, so that a vane found in one cell is
-    followed to its end. At the rim aberrations are steepest, too.
+    followed to its end.
 
     Returns
     -------

@@ -215,6 +215,7 @@ def _field(
         notes.append(f"{name}: its image lies at ({x:.4g}, {y:.4g}) mm, beside the detector, whose edge is not counted")
     axes = image_axes(system.path, chief)
     distance = chief.distance_from(system.pupil) if radius is None else radius
+    # All rays miss the sphere about a pupil at the image, see `_sampled`
     frame = ImageFrame(chief.point, axes, 1 / (distance or 1e-300))
     samples, lines = [], []
     for number, (path, share) in enumerate(zip(system.paths, shares, strict=True)):
