@@ -101,8 +101,13 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
     """
     of_table = remembered(table.kept, "signature", lambda: _table_facts(table))
     films = [table.film(detector) for detector in table.detectors]
-    sources = [repr([getattr(emitter, key, "") for key in _OF_SOURCES]) for emitter in scene.emitters()]
-    return hashlib.sha256(repr((of_table, films, sources, tuple(surfaces))).encode()).hexdigest()
+    return hashlib.sha256(repr((of_table, films, source_facts(scene), tuple(surfaces))).encode()).hexdigest()
+
+
+def source_facts(scene: mi.Scene) -> str:
+    """Return what may change at the source plugins of a scene, as text; Mitsuba's own emitters are left out."""
+    facts = [getattr(emitter, key, "") for emitter in scene.emitters() for key in _OF_SOURCES]
+    return repr([fact.tobytes() if isinstance(fact, np.ndarray) else fact for fact in facts])
 
 
 def _table_facts(table: SurfaceTable) -> str:

@@ -399,10 +399,6 @@ def asphere_crossings(shape: Sequence[Any], reach: Sequence[Any], o: np.ndarray,
     return np.concatenate([near, within], axis=1)
 
 
-def _column(numbers: Any) -> np.ndarray:
-    return np.reshape(numbers, (-1, 1))
-
-
 def _within(shape: Sequence[Any], reach: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.ndarray:
     """Return the first crossings of lines with an asphere in its aperture, (n, `MOST_WITHIN`), mm; NaN for none."""
     (outer, low, high), (x, y, z), (dx, dy, dz) = reach, o.T, d.T
@@ -415,34 +411,52 @@ def _within(shape: Sequence[Any], reach: Sequence[Any], o: np.ndarray, d: np.nda
     beside = (across == 0) & (x * x + y * y > np.square(outer))  # parallel to the axis
     rays = np.flatnonzero((half >= 0) & (start < end) & ~beside)
 
-    def height(t: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the height over the surface, mm, at distances t, (n, m), of rays, (n,), and its derivative."""
-        (x, y, z), (dx, dy, dz) = (v[rays].T[..., None] for v in (o, d))
-        x, y, z = x + t * dx, y + t * dy, z + t * dz
-        edge, *known = (_column(number[rays] if np.ndim(number) else number) for number in (outer, *shape))
-        r2 = np.minimum(x * x + y * y, edge * edge)
-        c, k, *coefficients = known
-        return z - sag(r2, c, k, coefficients), dz - 2 * sag_derivative(r2, c, k, coefficients) * (x * dx + y * dy)
+    def numbers(rays: np.ndarray) -> list[Any]:
+        return [number[rays] if np.ndim(number) else number for number in (*o.T, *d.T, outer, *shape)]
 
-    t = start[rays, None] + np.linspace(0, 1, SAMPLES) * (end - start)[rays, None]
-    above = height(t, rays)[0] > 0
-    row, place = np.nonzero(above[:, 1:] != above[:, :-1])
+    # Between two samples with a change of sign lies a crossing; the start is where the chord between them has height 0
+    t = start[rays] + np.linspace(0, 1, SAMPLES)[:, None] * (end - start)[rays]
+    heights = _height(t, numbers(rays))
+    above = heights > 0
+    row, place = np.nonzero((above[1:] != above[:-1]).T)
     number = np.arange(len(row)) - np.searchsorted(row, row)
     row, place, number = (v[number < MOST_WITHIN] for v in (row, place, number))
-    first, last, before = t[row, place], t[row, place + 1], above[row, place]
-    best = 0.5 * (first + last)
+    first, last, before = t[place, row], t[place + 1, row], above[place, row]
+    at_first, at_last = heights[place, row], heights[place + 1, row]
+    best = first - at_first * (last - first) / (at_last - at_first)
+    going, lines = np.arange(len(row)), numbers(rays[row])
     for _ in range(HALVINGS):  # Newton's steps, and halves where they leave the bracket
-        f, slope = (v[:, 0] for v in height(best[:, None], rays[row]))
+        f = _height(best, lines)
         same = (f > 0) == before
         first, last = np.where(same, best, first), np.where(same, last, best)
-        new = best - f / slope
+        new = best - f / _slope(best, lines)
         new = np.where((new >= first) & (new <= last), new, 0.5 * (first + last))
-        settled = np.abs(new - best) < SETTLED * (1 + np.abs(new))
-        best = new
-        if settled.all():
+        on = ~(np.abs(new - best) < SETTLED * (1 + np.abs(new)))
+        found[rays[row[going]], number[going]] = new
+        going, first, last, before, best = (v[on] for v in (going, first, last, before, new))
+        if not len(going):
             break
-    found[rays[row], number] = best
+        lines = [v[on] if np.ndim(v) else v for v in lines]
     return found
+
+
+def _height(t: np.ndarray, line: Sequence[Any]) -> Any:
+    """
+    Return the heights, mm, over an asphere of points at distances t, mm, along lines; beyond its edge, over the edge's.
+
+    `line` holds points, mm, unit directions, the radius of the edge, and the shape, see `asphere_crossings`.
+    """
+    x, y, z, dx, dy, dz, edge, c, k, *coefficients = line
+    r2 = np.minimum((x + t * dx) ** 2 + (y + t * dy) ** 2, edge**2)
+    return z + t * dz - sag(r2, c, k, coefficients)
+
+
+def _slope(t: np.ndarray, line: Sequence[Any]) -> Any:
+    """Return the derivative of `_height` with respect to t, as within the edge."""
+    x, y, _, dx, dy, dz, edge, c, k, *coefficients = line
+    x, y = x + t * dx, y + t * dy
+    r2 = np.minimum(x**2 + y**2, edge**2)
+    return dz - 2 * sag_derivative(r2, c, k, coefficients) * (x * dx + y * dy)
 
 
 def _from_conic(shape: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -457,20 +471,21 @@ def _from_conic(shape: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.ndarra
     found = np.full(t.shape, np.nan)
     going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
     ray, t = going // t.shape[1], t.ravel()[going]
+    lines = [v[ray] if np.ndim(v) else v for v in (*o.T, *d.T, *shape)]
     for _ in range(NEWTON_STEPS):
-        (x, y, z), (dx, dy, dz) = o[ray].T, d[ray].T
+        x, y, z, dx, dy, dz, c, k, *coefficients = lines
         x, y = x + t * dx, y + t * dy
-        r2 = x * x + y * y
-        c, k, *coefficients = (number[ray] if np.ndim(number) else number for number in shape)
+        r2 = x**2 + y**2
         slope = 2 * sag_derivative(r2, c, k, coefficients) * (x * dx + y * dy) - dz
         step = (sag(r2, c, k, coefficients) - z - t * dz) / slope
         t = t - step
         settled = np.abs(step) < SETTLED * (1 + np.abs(t))
         found.flat[going[settled]] = t[settled]
         on = ~settled & np.isfinite(step)
-        going, ray, t = going[on], ray[on], t[on]
+        going, t = going[on], t[on]
         if not len(going):
             break
+        lines = [v[on] if np.ndim(v) else v for v in lines]
     return found
 
 

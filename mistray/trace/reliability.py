@@ -302,6 +302,8 @@ def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
             # By name, whatever the number of a medium in each run
             name = table.event_ids[i]
             sums[name] = sums.get(name, np.zeros(2)) + found[i]
+    if not any(aimed for aimed, _ in sums.values()):
+        return []
     elsewhere = _aims_elsewhere(runs)
     return [
         AimedSurface(name, float(aimed), float(landed), name not in elsewhere)

@@ -5,12 +5,13 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+import pandas as pd
 import pytest
 from scene_dicts import BLACK, at, detector, load
 
 import mistray
 from mistray.metrics.parameters import KINDS, groups, match, parameters
-from mistray.metrics.scene_values import changed
+from mistray.metrics.scene_values import assign, changed, without_triangles
 
 pytestmark = pytest.mark.quick
 
@@ -189,6 +190,23 @@ def test_what_is_changed_and_restored_has_the_digits_of_the_scene() -> None:
         with changed(mi.traverse(here), {key: p.value + p.tolerance}):
             assert parameters(here)[key].value == pytest.approx(p.value + p.tolerance, rel=1e-6)
         assert parameters(here)[key].value == p.value
+
+
+def test_parameters_without_triangles() -> None:
+    """A trace is that of the changed numbers; Mitsuba's triangles follow at the next update of the scene itself."""
+    ray = mi.Ray3f(mi.Point3f(0.0, 0.0, -10.0), mi.Vector3f(0.0, 0.0, 1.0))
+    here, there = scene(), scene()
+    values = {"front.z": parameters(here)["front.z"].value - np.array([0.25])}
+    before = float(here.ray_intersect(ray).t[0])
+    assign(without_triangles(mi.traverse(here)), values)
+    assign(mi.traverse(there), values)
+    assert float(there.ray_intersect(ray).t[0]) == pytest.approx(before - 0.25, abs=1e-5)
+    for known in (here, there):
+        assert parameters(known)["front.z"].value == pytest.approx(values["front.z"][0])
+    tables = [mistray.trace(known, rays=500, seed=1).paths.to_pandas() for known in (here, there)]
+    pd.testing.assert_frame_equal(*tables, rtol=1e-6)
+    here.parameters_changed([])
+    assert float(here.ray_intersect(ray).t[0]) == pytest.approx(before - 0.25, abs=1e-5)
 
 
 def test_match(known: dict[str, Any]) -> None:

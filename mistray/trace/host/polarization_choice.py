@@ -28,7 +28,7 @@ from mistray.execute.tracer import Run, prepare
 from mistray.light import AS_THE_SCENE, Light
 from mistray.messages import Message
 from mistray.notes import Note
-from mistray.sampling.importance_targets import signature
+from mistray.sampling.importance_targets import signature, source_facts
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
@@ -141,19 +141,27 @@ def chosen_polarization(
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
 
     # A single beam is tested at the angles of the series beside it, so that traces at many angles share their pilots
-    lights = _beside(lights[0]) if len(beams) == 1 else []
-    lit = [
-        (_at(light), replace(run, source=source))
-        for light in lights
-        for (_, run), source in zip(runs, _sources(scene, light), strict=True)
-    ]
+    beside = _beside(lights[0]) if len(beams) == 1 else []
 
     def pilot() -> list[Arrivals]:
-        prepared = [(_at(light), run) for light in lights for run in runs_of(settings, light)]
+        prepared = [(_at(light), run) for light in beside for run in runs_of(settings, light)]
         return _pilot(_spread(prepared or runs, MOST_RUNS))
 
-    # Pilot, unless the same light was tested before
-    rows = remembered(_known, _facts(scene, _spread(lit or runs, MOST_RUNS)), pilot)
+    def tested() -> list[Arrivals]:
+        lit = [
+            (_at(light), replace(run, source=source))
+            for light in beside
+            for (_, run), source in zip(runs, _sources(scene, light), strict=True)
+        ]
+        return remembered(_known, _facts(scene, _spread(lit or runs, MOST_RUNS)), pilot)
+
+    # Pilot, unless the same light was tested before: of a table that is kept, the sources' numbers tell without rays
+    if all(hasattr(emitter, "sources") for emitter in scene.emitters()):
+        given = {name: value for name, value in vars(settings).items() if name not in ("rays", "seed")}
+        key = repr((given, beside or lights, len(beams) > 1, source_facts(scene)))
+        rows = remembered(remembered(runs[0][1].table.kept, "pilots", dict), key, tested)
+    else:
+        rows = tested()
     largest = max(rows, key=lambda row: abs(row.change), default=Arrivals(name="no path"))
     if abs(largest.change) > LEAST_CHANGE:
         return PolarizationChoice("stokes", f"Stokes vectors change {largest.words}", largest.change)
