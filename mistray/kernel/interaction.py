@@ -127,9 +127,9 @@ class Polarized:
     Attributes
     ----------
     stokes : mi.Vector3f
-        Stokes vector (Q, U, V)/I of the incident light, in the plane of incidence.
+        Stokes vector (Q, U, V)/I of the incident light along d, with respect to the axes s and d × s.
     s : mi.Vector3f
-        Unit vector normal to the plane of incidence.
+        Unit vector along d × normal, across the plane of incidence; the normal is from front to back.
     reflection, transmission : Mueller
         Mueller matrices in that plane.
     """

@@ -183,7 +183,8 @@ def next_hit(
     """
     Return the nearest hit of each ray: distance in mm, surface index, and unit normal on a Mitsuba shape.
 
-    Without a hit the distance is infinite and the index `NO_SURFACE`. The normal has no meaning on analytic surfaces.
+    Without a hit the distance is infinite and the index `NO_SURFACE`. The normal is from front to back; it has no
+    meaning on analytic surfaces.
     `o` is in mm, relative to the centre of the scene, and `last` is the index of the surface that the ray starts on.
     `normal` is that of a Mitsuba shape there; None: rays start on none.
     """

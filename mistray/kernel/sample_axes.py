@@ -32,7 +32,11 @@ NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incid
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
-    """Return a surface's sample axis as a row, (4,): cosine and sine of its rotation, 0, and index in `AXES`."""
+    """
+    Return a surface's sample axis as a row, (4,): cosine and sine of its rotation, 0, and index of `axis` in `AXES`.
+
+    The rotation is right-handed, for "x" about the local z axis, for "meridian" about the normal from front to back.
+    """
     turn = np.radians(rotation_deg)
     return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
 
