@@ -64,7 +64,7 @@ class Interaction:
     tir : mi.Bool
         Whether the reflection is total.
     axis : mi.Vector3f
-        Unit normal on the side that the light goes to.
+        Unit normal on the side that the light goes to without reflection.
     cos_i, cos_t : mi.Float
         Cosines of the angles of incidence and refraction; `cos_t` is 0 in total reflection.
     eta : mi.Float

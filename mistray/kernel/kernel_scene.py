@@ -87,7 +87,8 @@ class WeightWindows:
         Return the factor on a hit's number of scattered rays, and the probability that the hit scatters.
 
         The factor is `weight` over the upper bound, 1 … `MOST_RAYS`; it remains `split` in lanes that are not active.
-        The probability is `weight` over the lower bound, `LEAST_PROBABILITY` … 1.
+        The probability is `weight` over the lower bound, `LEAST_PROBABILITY` … 1. For `row` see
+        `mistray.recorders.importance.window_row`.
         """
         above, below = (
             weight * dr.gather(mi.Float, inverse, row, active) for inverse in (self.inverse_upper, self.inverse_lower)

@@ -105,7 +105,11 @@ class SurfaceFrames:
         return tangent_axis(row, normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
-        """Return the sample's unit x axis in the scene's frame, at a point q, mm, of the surface's frame."""
+        """
+        Return the sample's unit x axis in the scene's frame, at a point q, mm, of the surface's frame.
+
+        The unit `normal` is from front to back, in the scene's frame.
+        """
         frame = self._table.frame(s, active)
         return frame.outward(self.local(s, frame.inward(normal), q, active))
 

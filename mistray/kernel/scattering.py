@@ -571,6 +571,7 @@ def specular_direction(
     """
     Return the unit direction into which light along d is specularly reflected or refracted.
 
-    The normal `axis` is on the side that the light goes to; eta is n_i/n_t.
+    `axis` is the unit normal on the side of transmission, `cos_i` and `cos_t` are the cosines of incidence and
+    refraction, and eta is n_i/n_t.
     """
     return dr.normalize(dr.select(reflect, d - 2 * cos_i * axis, eta * d + (cos_t - eta * cos_i) * axis))
