@@ -169,7 +169,7 @@ class Pupil:
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
-        """Return the pupil for an image point that is moved along the normal of the image by dz, mm."""
+        """Return the pupil for an image point moved along the image's normal by dz, mm, positive along the light."""
         return replace(self, opd_waves=np.where(self.lit, self.opd_waves - self.scale * dz * self.gamma, 0.0))
 
     def ideal(self) -> Pupil:
