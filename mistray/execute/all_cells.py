@@ -91,7 +91,7 @@ class AllCells:
         number : int
             Index of this search, which selects its random numbers.
         values : (c,) float64, optional
-            Factor on the contributions of each cell in `Samples.importance`; None: that is 0.
+            Factor on the contributions of each cell in `Samples.importance`; None: 0 for all cells.
         """
         found = []
         values = np.zeros(self.cells) if values is None else values

@@ -267,7 +267,7 @@ class BackwardTrace(GridTrace):
         number : int
             Index of this search, below `SEARCHES`, which selects its random numbers.
         values : (c,) float64, optional
-            Factor on the contributions of each cell in `Samples.importance`; None: that is 0.
+            Factor on the contributions of each cell in `Samples.importance`; None: 0 for all cells.
         """
         found = []
         values = np.zeros(self.unit.size) if values is None else values
@@ -288,7 +288,11 @@ class BackwardTrace(GridTrace):
         return found
 
     def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:
-        """Trace ray trees of the wavelength with index `number` into recorders, with MIS if there are forward rays."""
+        """
+        Trace ray trees of the wavelength with index `number` into recorders, with MIS if there are forward rays.
+
+        These rays are connected to `vertices`; None: no ray is connected.
+        """
         scene = self.split_scene(number)
         if self.forward:
             competing = CompetingTrace(self.forward[number].scattering, self._forward_probabilities, self.connects)

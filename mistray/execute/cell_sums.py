@@ -68,7 +68,8 @@ class CellSums(Sums):
         """
         Return each pixel's contribution to the PST_normal of a cell, and its variance, (2, n, m, pixels).
 
-        `unscattered` is the number of additional rays for unscattered light per start ray of each cell, (c,).
+        `unscattered` is the number of additional rays for unscattered light per start ray of each cell, (c,); None:
+        there are none.
         """
         assert self.maps is not None
         # Variance of a sum over start rays: Σ w² - (Σ w)²/n. Of two kinds of rays it is at most that of all together

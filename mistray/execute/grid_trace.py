@@ -137,7 +137,11 @@ class GridTrace:
         self.map_size = (max(1, columns), max(1, rows)) if map_pixels else (0, 0)
 
     def with_aims(self, aims: Mapping[Any, Any], backward: bool = False) -> list[Band]:
-        """Return one `Band` per wavelength, with scattered rays aimed at the given importance targets."""
+        """
+        Return one `Band` per wavelength, with scattered rays aimed at the given importance targets.
+
+        With `backward` they have the scatter of backward rays, else that of forward ones.
+        """
         bands = []
         for table, share in zip(self._tables, self.weights, strict=True):
             scattering = Scattering.of(table, aims, backward)

@@ -46,16 +46,17 @@ CORNERS = 8  # of a polygon around a circle
 @dataclass
 class Edge:
     """
-    Points on rims near hits, one per lane, with unit vectors along and across the rim, all in the world.
+    Points on rims near hits, one per lane, with unit vectors along and across the rim; axes are those of the world.
 
     Attributes
     ----------
     point : mi.Vector3d
-        Point of the edge, mm.
+        Point of the edge relative to the centre of the scene, mm.
     along : mi.Vector3d
         Unit vector along the edge.
     outward, across : mi.Vector3d
-        Unit vectors at right angles to the edge: u, which points out of the surface, and the surface's normal.
+        Unit vectors at right angles to the edge: u, which points out of the surface, and along × u, a normal of the
+        surface.
     stretch : mi.Float64
         Component of `outward` along the coordinate in which distances from the rim are measured.
     real : mi.Bool
@@ -138,6 +139,8 @@ class EdgeContacts:
     ) -> tuple[Corner, mi.Vector3f]:
         """
         Return start data of rays that pass just outside rims, and their origins, mm.
+
+        Origins and hits are relative to the centre of the scene, along the axes of the world.
 
         Parameters
         ----------

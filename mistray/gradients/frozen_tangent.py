@@ -72,7 +72,7 @@ class Followed:
     rays : mi.UInt32
         Number of rays.
     points : list of mi.Float64
-        x, y and z of the hits, mm, (longest · rays,) each.
+        x, y and z of the hits relative to the centre of the scene, mm, (longest · rays,) each.
     strayed : mi.Bool
         Rays of which a hit is not where it was recorded.
     """
@@ -114,7 +114,7 @@ def march(
     rays : RecordedRays
         Recorded rays to follow.
     near : callable
-        (k, active) → points near event k of each ray, mm.
+        (k, active) → points near event k of each ray, mm, as those of `Followed`.
     visit : callable
         (k, event, last, *state) → origins of directions after scatter events, and the next state; `last` marks the last
         events.

@@ -48,7 +48,7 @@ def grazing_kernel(delta: Any, width: Any) -> Any:
 
 def jump_distance(at: ScatterEvent, kind: mi.UInt32, scale: mi.Float64) -> mi.Float64:
     """
-    Return the distances Δ of hits from silhouettes, mm, or from the critical angle, dimensionless.
+    Return the distances Δ of hits from silhouettes, mm, or from the critical angle, dimensionless, as `kind` says.
 
     They are differentiable. The local radius of curvature `scale`, mm, is held fixed.
     """

@@ -411,7 +411,7 @@ class Branching:
         return ScatterFactors(surface, state["medium_factor"] if self._bulk and self._optics.one_child else surface)
 
     def plays_roulette(self, it: Interaction, children: Children) -> mi.Bool:
-        """Return a mask of nodes at which the reflection of an unscattered ray plays Russian roulette."""
+        """Return a mask of nodes at which a reflection of unscattered light plays roulette by branch probabilities."""
         return children.transmits & children.counted & ((it.word & ONE_CHILD) == 0)
 
     def reference(self, state: dict[str, Any], by_roulette: mi.Bool) -> mi.Float:

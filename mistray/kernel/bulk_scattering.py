@@ -130,7 +130,7 @@ class BulkScattering:
         medium : mi.UInt32
             Position of the medium in `Optics.media`.
         p, d : mi.Vector3f
-            End of the segment (mm) and its unit direction.
+            End of the segment relative to `SurfaceTable.centre` (mm) and its unit direction.
         length : mi.Float
             Length of the segment, mm.
         aim : BulkAim

@@ -64,7 +64,7 @@ class Interaction:
     tir : mi.Bool
         Whether the reflection is total.
     axis : mi.Vector3f
-        Unit normal on the side that the light goes to.
+        Unit normal on the side that the light goes to without reflection.
     cos_i, cos_t : mi.Float
         Cosines of the angles of incidence and refraction; `cos_t` is 0 in total reflection.
     eta : mi.Float
@@ -127,9 +127,9 @@ class Polarized:
     Attributes
     ----------
     stokes : mi.Vector3f
-        Stokes vector (Q, U, V)/I of the incident light, in the plane of incidence.
+        Stokes vector (Q, U, V)/I of the incident light along d, with respect to the axes s and d × s.
     s : mi.Vector3f
-        Unit vector normal to the plane of incidence.
+        Unit vector along d × normal, across the plane of incidence; the normal is from front to back.
     reflection, transmission : Mueller
         Mueller matrices in that plane.
     """

@@ -87,7 +87,8 @@ class WeightWindows:
         Return the factor on a hit's number of scattered rays, and the probability that the hit scatters.
 
         The factor is `weight` over the upper bound, 1 … `MOST_RAYS`; it remains `split` in lanes that are not active.
-        The probability is `weight` over the lower bound, `LEAST_PROBABILITY` … 1.
+        The probability is `weight` over the lower bound, `LEAST_PROBABILITY` … 1. For `row` see
+        `mistray.recorders.importance.window_row`.
         """
         above, below = (
             weight * dr.gather(mi.Float, inverse, row, active) for inverse in (self.inverse_upper, self.inverse_lower)
@@ -183,7 +184,8 @@ def next_hit(
     """
     Return the nearest hit of each ray: distance in mm, surface index, and unit normal on a Mitsuba shape.
 
-    Without a hit the distance is infinite and the index `NO_SURFACE`. The normal has no meaning on analytic surfaces.
+    Without a hit the distance is infinite and the index `NO_SURFACE`. The normal is from front to back; it has no
+    meaning on analytic surfaces.
     `o` is in mm, relative to the centre of the scene, and `last` is the index of the surface that the ray starts on.
     `normal` is that of a Mitsuba shape there; None: rays start on none.
     """

@@ -31,7 +31,11 @@ NEAR_X = 0.9  # cosine of the angle between d and x above which the y axis gives
 
 
 def first_axis(d: Any) -> Any:
-    """Return the first axis of the polarisation frame of a direction d, a unit vector normal to d."""
+    """
+    Return the first axis of the polarisation frame of a unit direction d: the world's x axis, projected normal to d.
+
+    It is a unit vector. Where d is within 26° of ±x, the y axis takes the place of the x axis.
+    """
     near = dr.abs(d.x) > NEAR_X
     axis = type(d)(dr.select(near, 0, 1), dr.select(near, 1, 0), 0)
     return dr.normalize(axis - dr.dot(axis, d) * d)
@@ -52,7 +56,11 @@ def carried(u: Any, axis: Any, d: Any) -> Any:
 
 
 def plane_of_incidence(d: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
-    """Return the unit vector s normal to the plane of incidence of light along d; `first_axis` at normal incidence."""
+    """
+    Return the unit vector s along d × normal, across the plane of incidence of light along d.
+
+    At normal incidence it is `first_axis` of d.
+    """
     s = dr.cross(d, normal)
     square = dr.squared_norm(s)
     return dr.select(square > NORMAL_INCIDENCE, s * dr.rsqrt(square), first_axis(d))

@@ -32,7 +32,11 @@ NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incid
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
-    """Return a surface's sample axis as a row, (4,): cosine and sine of its rotation, 0, and index in `AXES`."""
+    """
+    Return a surface's sample axis as a row, (4,): cosine and sine of its rotation, 0, and index of `axis` in `AXES`.
+
+    The rotation is right-handed, for "x" about the local z axis, for "meridian" about the normal from front to back.
+    """
     turn = np.radians(rotation_deg)
     return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
 
@@ -101,7 +105,11 @@ class SurfaceFrames:
         return tangent_axis(row, normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
-        """Return the sample's unit x axis in the scene's frame, at a point q, mm, of the surface's frame."""
+        """
+        Return the sample's unit x axis in the scene's frame, at a point q, mm, of the surface's frame.
+
+        The unit `normal` is from front to back, in the scene's frame.
+        """
         frame = self._table.frame(s, active)
         return frame.outward(self.local(s, frame.inward(normal), q, active))
 

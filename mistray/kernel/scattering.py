@@ -292,7 +292,8 @@ class Scattering(ScatterShares):
         Return the reverse pdf: rays per sr that this competing trace sends along -d for one along `-direction`.
 
         One ray is drawn at random, and all aimed rays count. The probability that a hit scatters at all is left out.
-        `reflect` says whether d and `direction` are on one side, and `cos_s` is the cosine of `direction`.
+        `reflect` says whether the ray stays on the side of incidence, `cos_s` is the cosine of the angle of `direction`
+        with the normal, and `x_axis` is as in `LobeFrame`.
         """
         # R, T and refraction for a ray that arrives along `-direction`, on the other side if it was transmitted
         from_front = it.from_front ^ ~reflect
@@ -527,8 +528,8 @@ class Scattering(ScatterShares):
         """
         Return the factor by which a lobe's ratio table scales the BSDF in a direction, interpolated linearly.
 
-        `r2` is the squared distance of the direction from the lobe's centre, and `across` the tangential part of that
-        difference; `cos_s` is as in `_evaluate`.
+        `across` is the tangential part of the difference of the direction from the lobe's centre. `r2` is its square,
+        but for a lobe by angle that of the whole difference, a chord. `cos_s` is as in `_evaluate`.
         """
         # Coordinates of the table: incidence, distance from the centre or angle of scatter, and azimuth
         words, outward, x_axis = lobe["words"], frame.outward, frame.x_axis
@@ -570,6 +571,7 @@ def specular_direction(
     """
     Return the unit direction into which light along d is specularly reflected or refracted.
 
-    The normal `axis` is on the side that the light goes to; eta is n_i/n_t.
+    `axis` is the unit normal on the side of transmission, `cos_i` and `cos_t` are the cosines of incidence and
+    refraction, and eta is n_i/n_t.
     """
     return dr.normalize(dr.select(reflect, d - 2 * cos_i * axis, eta * d + (cos_t - eta * cos_i) * axis))

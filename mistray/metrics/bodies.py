@@ -79,7 +79,7 @@ class Body:
         Parameters
         ----------
         tilt_deg : (3,) float
-            Rotations about its axes x, y and z, degrees.
+            Right-handed rotations about its axes x, y and z, degrees, see `Body`.
 
         Returns
         -------

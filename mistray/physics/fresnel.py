@@ -57,8 +57,9 @@ def reflectance(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
 
 def amplitudes(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> tuple[Any, Any]:
     """
-    Return the Fresnel amplitudes r_s and r_p of the reflected electric field, of opposite signs at normal incidence.
+    Return the Fresnel amplitudes r_s and r_p of the reflected electric field.
 
+    At normal incidence r_s = -r_p = (n_i - n_t)/(n_i + n_t).
     Parameters are those of `reflectance`.
     """
     r_s = (n_i * cos_i - n_t * cos_t) / (n_i * cos_i + n_t * cos_t + _TINY)

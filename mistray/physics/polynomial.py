@@ -35,7 +35,10 @@ def bsdf(
     d: Any,
 ) -> Any:
     """
-    Return the polynomial BSDF, 1/sr.
+    Return the polynomial BSDF, 1/sr, 10 to the power Σ c_ijk (U + W)^i (U W)^j V^k + Σ l_jk V^k log10(1 + d^j T).
+
+    The invariants of the direction cosines, β scattered and β0 specular, are U = |β|², W = |β0|², V = β·β0 and
+    T = |β - β0|².
 
     Parameters
     ----------

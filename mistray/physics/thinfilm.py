@@ -96,9 +96,9 @@ def amplitudes(
     Returns
     -------
     (r_s, r_p), (t_s, t_p)
-        Complex r at the first face and t at the last; all arguments broadcast. Floats and NumPy arrays give NumPy
-        arrays in float64 precision. Dr.Jit arrays give arrays of their own precision, with derivatives with respect to
-        every argument.
+        Complex r at the first face and t at the last, for fields of exp(-iωt); at normal incidence r_s = -r_p. All
+        arguments broadcast. Floats and NumPy arrays give NumPy arrays in float64 precision. Dr.Jit arrays give arrays
+        of their own precision, with derivatives with respect to every argument.
 
     Raises
     ------

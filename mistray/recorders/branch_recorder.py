@@ -45,12 +45,12 @@ class PathChoice:
 @dataclass
 class Node:
     """
-    One recorded event of each ray: point and direction of arrival in the world, and event code.
+    One recorded event of each ray: point and direction of arrival, along the axes of the world, and event code.
 
     Attributes
     ----------
     p : mi.Vector3f
-        Points, mm.
+        Points relative to `SurfaceTable.centre`, mm.
     d : mi.Vector3f
         Unit directions of arrival.
     code : mi.UInt32
@@ -84,7 +84,8 @@ class BranchRecorder(Recorder):
     lane, length : (capacity,) mi.UInt32
         Index of the start ray, and number of events, of each branch.
     nodes : (capacity, max_events, NODE_FLOATS) mi.Float
-        Points (mm), directions of arrival, throughputs, and the bits of the event codes, see `codes`.
+        Points relative to `SurfaceTable.centre` (mm), directions of arrival, throughputs, and the bits of the event
+        codes, see `codes`.
     weight : (capacity,) mi.Float64
         Flux that meets the detector, in units of the start ray's; with `light` the gain, in the metric's unit.
     heading : (capacity, 3) mi.Float
@@ -258,7 +259,7 @@ class BranchRecorder(Recorder):
         Returns
         -------
         (n, longest, NODE_FLOATS - 1) float64
-            Point (3), mm, unit direction of arrival (3) and throughput at each node, in the world.
+            Point (3) relative to `SurfaceTable.centre`, mm, unit direction of arrival (3) and throughput at each node.
         """
         nodes = self.nodes.numpy().reshape(self.capacity, -1, NODE_FLOATS)[slots, :longest, :-1]
         inside = np.arange(longest) < self.length.numpy()[slots, None]

@@ -157,7 +157,7 @@ class Images(Recorder):
 @dataclass(frozen=True)
 class Pixels(Sampled):
     """
-    Image on a detector, with its noise by group of batches.
+    Image on a detector, with its noise by group of batches; row 0 is at the smallest y.
 
     Attributes
     ----------

@@ -127,7 +127,7 @@ class Visit:
         return self.state["depth"]
 
     def event(self, k: mi.UInt32, mask: mi.Bool) -> mi.UInt32:
-        """Return event k of the path; the last one is the absorption here. See `EventReader`."""
+        """Return the code of event k of the path, from 0, in lanes of `mask`; the last one is the absorption here."""
         # The absorption is not in local memory, where this entry is for the event that sends a child on
         before = k < self.depth
         return dr.select(before, self.codes.read(k, mask & before), self.code)
@@ -140,7 +140,7 @@ class Visit:
 
     @property
     def node(self) -> Sequence[mi.Float]:
-        """Last node of each path: point of the hit, mm, direction of arrival, and throughput there."""
+        """Last node of each path: hit, mm from `SurfaceTable.centre`, direction of arrival, and throughput there."""
         return (*self.interaction.p, *self.state["d"], self.weight)
 
 
@@ -218,7 +218,7 @@ class Departure:
     nodes : tuple of dr.Local, optional
         Nodes before the last, see `mistray.kernel.pending_nodes`.
     node : sequence of mi.Float, optional
-        The last node: point, mm, direction of arrival and throughput; None: the rays come straight from their start.
+        The last node, see `Visit.node`; None: the rays come straight from their start.
     pdf_ratio : mi.Float or None
         pdf_rev/pdf_own of the path: forward rays that find it for each of these backward rays, see
         `mistray.kernel.pdf_ratios`; None: there are no MIS weights.

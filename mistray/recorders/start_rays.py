@@ -53,7 +53,7 @@ class StartRays:
     rng : mi.PCG32
         One generator for each lane.
     o, d : mi.Vector3f
-        Origins (mm) and unit directions.
+        Origins relative to `SurfaceTable.centre` (mm), and unit directions.
     w : mi.Float
         Throughput at the start: 1, or the weight with which the ray was sampled.
     left : mi.UInt32, optional

@@ -166,7 +166,11 @@ def find_opening(
 
 
 def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
-    """Return flat target discs far away that stand for the sky, one for each angular radius in `SKY_DEG`, degrees."""
+    """
+    Return flat target discs far away that stand for the sky, one for each angular radius in `SKY_DEG`, degrees.
+
+    They are where light along the unit vector `axis` comes from.
+    """
     corners = box_corners(shape.bbox() for shape in solid_shapes(scene))
     distance = FAR * float(np.linalg.norm(corners[-1] - corners[0]))
     frame = across(axis)
@@ -189,7 +193,11 @@ def _lambertian_rays(
 def _sky_shares(
     table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
 ) -> dict[Side, float]:
-    """Return the fraction of Lambertian rays from each side of surfaces that leave against `axis` without a hit."""
+    """
+    Return the fraction of Lambertian rays from each side of surfaces that leave against `axis` without a hit.
+
+    `axis` is the unit direction of light at field angle 0; all rays at more than 90° to it leave against it.
+    """
     probes = fewer_rays(SKY_PROBES)
     o, d = _lambertian_rays(table, surfaces, probes, rng)
     last = np.repeat(surfaces, 2 * probes)
@@ -203,7 +211,7 @@ def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.r
     """
     Return, by surface index, the fraction of Lambertian rays that leave the scene against `axis` by specular events.
 
-    The fraction is that of the side with more of them.
+    The fraction is that of the side with more of them; `axis` is that of `_sky_shares`.
     """
     probes = fewer_rays(VIEW_PROBES)
     start, along = _lambertian_rays(table, surfaces, probes, rng)

@@ -192,7 +192,7 @@ class DesignPath:
         """
         Return the points, mm, at which lines cross a step's unbounded surface, and the unit normals, (n, 3) each.
 
-        Of several crossings it is the one nearest to the base ray.
+        Normals are from front to back. Of several crossings it is the one nearest to the base ray.
 
         For the opening and for a Mitsuba shape it is the tangent plane that is crossed. Points are NaN where a line
         does not cross the surface.

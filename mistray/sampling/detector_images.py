@@ -85,7 +85,7 @@ class DetectorImages:
         return self.path.steps[max(number - 1, 0)].point, self.path.steps[number].before
 
     def _paraxial(self, number: int) -> Target:
-        """Return the paraxial image of the detector, a flat target, in the space before a step."""
+        """Return the paraxial image of the detector, a flat target, in the space before step `number`."""
         start, axis = self._base(number)
         frame = across(axis)
         P, Q, hit = self._derivatives(number, frame)
@@ -103,6 +103,7 @@ class DetectorImages:
         """
         Return the derivatives of a ray's hit with respect to its shift and slope, and the hit of the base ray.
 
+        Shift and slope are those before step `number`.
         `frame`, (3, 2), has the axes of shift and slope as columns. Hits are in units of the detector's half axes,
         (2,). The derivatives, (2, 2) each, are in 1/mm for the shift, and dimensionless for the slope.
         """

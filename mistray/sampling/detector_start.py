@@ -317,7 +317,7 @@ class DetectorStart:
         Parameters
         ----------
         p, d : mi.Vector3f
-            Points, mm, and unit directions.
+            Points relative to `SurfaceTable.centre`, mm, and unit directions.
         outward : mi.Vector3f
             Unit normal on the side that the rays leave to.
         active : mi.Bool

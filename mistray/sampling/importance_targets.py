@@ -218,7 +218,11 @@ def automatic_targets(
 def _seen_targets(
     table: SurfaceTable, images: DetectorImages | None, surfaces: Sequence[int], rng: np.random.Generator
 ) -> dict[Side, list[Target]]:
-    """Return, for each side of surfaces, the targets visible from it: detector, lenses and mirrors of the path."""
+    """
+    Return, for each side of surfaces, the targets visible from it: detector, lenses and mirrors of the path.
+
+    `images` are those of the detector by the surfaces of the path; None: there is no path.
+    """
     if not surfaces:
         return {}
     # Test all views at once

@@ -57,7 +57,7 @@ class Emission(NamedTuple):
     Attributes
     ----------
     o, d : mi.Vector3f
-        Origins, mm, and unit directions.
+        Origins, mm, relative to the centre that `SceneSource.start` is given, and unit directions.
     w : mi.Float or None
         Flux of each ray in units of the mean of all; None: 1.
     stokes : mi.Vector3f or None

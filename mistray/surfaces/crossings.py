@@ -328,7 +328,8 @@ def stretch(
     Return the distances, mm, at which a ray enters and leaves a cylinder about z with flat ends.
 
     `outer2` is the square of its radius, mm²; `z_low` and `z_high` are its ends, and `oz` is the z of the ray's origin
-    over the same plane, mm. If the second distance is not greater than the first, the ray misses the cylinder.
+    over the same plane, mm. The first distance is 0 if the ray starts within. If the second is not greater than the
+    first, the ray misses the cylinder.
     """
     t0 = ray.closest()
     x, y = ray.lateral(t0)

@@ -45,7 +45,7 @@ def box_corners(boxes: Iterable[Any]) -> np.ndarray:
 
 def stock_points(shape: Any, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return world points (n, 3), mm, on one of Mitsuba's own shapes, and the unit normals there.
+    Return world points (n, 3), mm, on one of Mitsuba's own shapes, and the unit normals there, from front to back.
 
     `u` and `v` are numbers of 0 … 1, (n,) each, such as random ones.
     """

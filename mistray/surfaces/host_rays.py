@@ -326,7 +326,7 @@ def _stock_hit(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> tuple[np.nd
     """
     Return the hits of rays with Mitsuba shapes: distances, (n,), mm, surface indices, (n,), and unit normals, (n, 3).
 
-    Without a hit the distance is infinite and the index `NO_SURFACE`.
+    Normals are from front to back. Without a hit the distance is infinite and the index `NO_SURFACE`.
     """
     start = o + table.mitsuba_epsilon * d
     assert table.mitsuba_scene is not None

@@ -395,7 +395,7 @@ class SurfaceTable:
         """
         Return the unit normals, (n, 3), of the Mitsuba shapes that rays meet at world points, (n, 3), mm.
 
-        `directions`, (n, 3), are the unit directions of the rays.
+        Normals are from front to back. `directions`, (n, 3), are the unit directions of the rays.
         """
         assert self.mitsuba_scene is not None
         starts = points - 8 * self.mitsuba_epsilon * directions

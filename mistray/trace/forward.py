@@ -95,8 +95,8 @@ def trace(
     rays : int
         Number of start rays.
     field_deg, azimuth_deg : float
-        Direction of the light, degrees; a near source moves in its object plane to the point whose light comes to the
-        origin of its frame at that angle.
+        Field angle of the light and azimuth, from +y towards -x of the source's frame, degrees. A near source moves in
+        its object plane to the point whose light comes to the origin of its frame at that angle.
     field_mm : float
         Place of a near source along y in its object plane, mm, instead of `field_deg`.
     wavelength_nm : float or sequence of float

@@ -243,7 +243,7 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
     axes = half / size
 
     def hit(angle_deg: float, azimuth_deg: float) -> np.ndarray:
-        """Return the point where the base ray of a field meets the detector plane, (1, 2) mm; NaN if it does not."""
+        """Return the detector point of a field's base ray, (1, 2), mm from the centre along its axes; NaN for none."""
         source = scene_sources(scene, field_deg=angle_deg, azimuth_deg=azimuth_deg)[0]
         found = path.follow(*source.through(np.zeros(1), np.zeros(1)), 0)
         return np.asarray((found[0] - detector.centre) @ axes)

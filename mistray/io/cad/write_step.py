@@ -259,7 +259,8 @@ class StepFile:
         name : str
             Name of the product.
         kind : str
-            Kind of representation: "ADVANCED_BREP", "MANIFOLD_SURFACE", "GEOMETRICALLY_BOUNDED_WIREFRAME" or "".
+            Kind of representation: "ADVANCED_BREP", "MANIFOLD_SURFACE" or "GEOMETRICALLY_BOUNDED_WIREFRAME"; "": the
+            general kind, for a product without geometry of its own, as an assembly.
         items : sequence of int
             Numbers of the bodies, sheets or curve sets.
 

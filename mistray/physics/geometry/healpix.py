@@ -27,7 +27,7 @@ def pixel(side: int, directions: np.ndarray, nested: bool) -> np.ndarray:
     side : int
         Number N of divisions of a base pixel's side; a power of 2 for nested indices.
     directions : (n, 3) float64
-        Unit vectors; z points to the north.
+        Unit vectors; z points to the north, and the longitude is counted from x towards y.
     nested : bool
         Whether the four parts of a pixel have consecutive indices; otherwise indices count along rings.
 

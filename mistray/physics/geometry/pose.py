@@ -108,7 +108,7 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
 
 def fixed_turn(angles_deg: Iterable[float]) -> np.ndarray:
     """
-    Return the rotation matrix, (3, 3), of three angles, degrees, about the fixed axes x, then y, then z.
+    Return the matrix, (3, 3), of right-handed rotations by three angles, degrees, about the fixed x, then y, then z.
 
     Raise `MistrayError` if one is out of range.
     """

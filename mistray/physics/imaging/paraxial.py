@@ -61,7 +61,7 @@ class ParaxialSystem:
     Parameters
     ----------
     curvature : float or sequence of float
-        Curvature of each surface, 1/mm.
+        Curvature of each surface, 1/mm, positive if its centre of curvature is on the +z side.
     z : float or sequence of float
         Positions of the vertices along the axis, mm.
     index : sequence of float
@@ -103,7 +103,7 @@ class ParaxialSystem:
         Parameters
         ----------
         y, u : float
-            Height at the first vertex, mm, and slope before it.
+            Height at the first vertex, mm, and slope dy/dz before it.
 
         Returns
         -------
@@ -139,7 +139,7 @@ class ParaxialSystem:
         Parameters
         ----------
         field_deg : float
-            Angle to the axis before the first surface, degrees.
+            Angle to the axis before the first surface, degrees, of the sign of the ray's slope dy/dz there.
         stop_z : float
             Axial position of the stop, mm; it may lie before, between or after the surfaces.
 

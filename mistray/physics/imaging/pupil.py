@@ -59,9 +59,10 @@ class Pupil:
     share : (n, n) float64
         Lit fraction of each cell, 0 … 1.
     opd_waves : (n, n) float64
-        Optical path difference W, waves; 0 in dark cells.
+        Optical path difference W = OPL(chief ray) - OPL(ray), waves, positive where the wavefront leads; 0 in dark
+        cells.
     curvature : float
-        Curvature κ of the reference sphere, 1/mm.
+        Curvature κ of the reference sphere, 1/mm: positive if the pupil lies before the image, 0 if at infinity.
     """
 
     wavelength_mm: float
@@ -168,7 +169,7 @@ class Pupil:
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
-        """Return the pupil for an image point that is moved along the normal of the image by dz, mm."""
+        """Return the pupil for an image point moved along the image's normal by dz, mm, positive along the light."""
         return replace(self, opd_waves=np.where(self.lit, self.opd_waves - self.scale * dz * self.gamma, 0.0))
 
     def ideal(self) -> Pupil:

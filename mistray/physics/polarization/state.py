@@ -28,6 +28,9 @@ def polarization_state(owner: str, stokes: Any = None, jones: Any = None, polari
     """
     Return the Stokes parameters of a source.
 
+    They are S1, S2 and S3 over S0, for an observer who looks into the light with x to the right and y up. Of these s1
+    is positive along x, s2 along the bisector of x and y, and s3 for clockwise (right-handed) rotation.
+
     Parameters
     ----------
     owner : str
@@ -35,7 +38,8 @@ def polarization_state(owner: str, stokes: Any = None, jones: Any = None, polari
     stokes : str or sequence of three numbers, optional
         Stokes parameters s1, s2, s3, with a degree of polarisation √(s1² + s2² + s3²) of at most 1.
     jones : str or sequence of two complex numbers, optional
-        Jones vector ex, ey, of any size; in strings the imaginary unit is i or j, as in "1, -1i".
+        Jones vector ex, ey, of any size, for fields that go as exp(-iωt). In strings the imaginary unit is i or j, as
+        in "1, -1i".
     polarization_deg : float, optional
         Angle of linear polarisation from x towards y, degrees.
 

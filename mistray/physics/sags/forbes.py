@@ -33,7 +33,7 @@ def qcon(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
     """
     Return the sum x² Σ a_m Qcon_m(x) of strong-asphere polynomials, with coefficients a_m by m = 0, 1, ….
 
-    x is u²; the sum has its shape and the unit of the coefficients.
+    x is the squared distance from the axis in units of the radius; the sum has its shape and the coefficients' unit.
     """
     from scipy.special import eval_jacobi  # takes longer to import than all else of a sag
 
@@ -47,7 +47,8 @@ def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
     """
     Return the sum x (1 - x) Σ a_m Qbfs_m(x) of mild-asphere polynomials, with coefficients a_m by m = 0, 1, ….
 
-    x is u²; the sum has its shape and the unit of the coefficients. The factor 1/cos γ is left out.
+    x is the squared distance from the axis in units of the radius; the sum has its shape and the coefficients' unit.
+    The factor 1/cos γ is left out.
     """
     x = np.asarray(x, dtype=np.float64)
     values = qbfs_values(x, max(terms, default=0))
@@ -58,7 +59,7 @@ def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
 
 
 def qbfs_values(x: np.ndarray, last: int) -> list[np.ndarray]:
-    """Return the polynomials Qbfs_0 … Qbfs_last at x = u², in its shape, by the recurrence of Forbes (2010), app. A."""
+    """Return the polynomials Qbfs_0 … Qbfs_last at x, as in `qbfs`, by the recurrence of Forbes (2010), app. A."""
     auxiliary = [np.full_like(x, 2.0), 6 - 8 * x]
     while len(auxiliary) <= last:
         auxiliary.append((2 - 4 * x) * auxiliary[-1] - auxiliary[-2])
@@ -95,7 +96,7 @@ def q2d(
 
 
 def q2d_values(x: np.ndarray, m: int, last: int) -> np.ndarray:
-    """Return Forbes's freeform polynomials Q_m0 … Q_m,last at x, u² of the module, (last + 1, …), for m ≥ 1."""
+    """Return Forbes's freeform polynomials Q_m0 … Q_m,last at x, as in `qbfs`, (last + 1, …), for m ≥ 1."""
     return np.tensordot(_orthonormal(m, last), _jacobi(x, m, last), axes=1)
 
 

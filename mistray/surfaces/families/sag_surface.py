@@ -307,7 +307,7 @@ class SagSurface(TracedSurface):
 
 
 def azimuth(q: np.ndarray) -> np.ndarray:
-    """Return the azimuths of points (n, 3) about the axis, (n,), as fractions 0 … 1 of a turn, from -x."""
+    """Return the azimuths of points (n, 3) about the axis, (n,), as fractions of a turn: 0 at -x, 1/4 at -y."""
     return np.asarray(0.5 + np.arctan2(q[:, 1], q[:, 0]) / (2 * np.pi))
 
 

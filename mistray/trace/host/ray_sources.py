@@ -209,7 +209,8 @@ class Surroundings:
         """
         Return a distant source at one field angle and azimuth, degrees; azimuth runs from +y to -x.
 
-        A field angle below 0 lies on the opposite azimuth. Raise `MistrayError` for an angle out of range.
+        A field angle below 0 lies on the opposite azimuth; `axes` are from `field_axes`. Raise `MistrayError` for an
+        angle out of range.
         """
         FIELD_DEG.check("field_deg", field_deg)
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
