@@ -30,6 +30,7 @@ from mistray.sampling.importance_targets import (
     automatic_targets,
     signature,
 )
+from mistray.sampling.kept_targets import kept_targets
 from mistray.settings import Settings
 from mistray.surfaces.host_points import across, box_corners, lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
@@ -90,15 +91,19 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
     # A scene is traced many times; the cached targets have one ray each, as settings may differ
     scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
     key = signature(table, scene, scatterers) + repr(np.round(axis, 9).tolist())
-    found = remembered(_known, key, lambda: _find(table, scene, scatterers, axis))
+    found = remembered(_known, key, lambda: _find(table, scene, scatterers, axis, key))
     if settings.aim != "auto" or not settings.aimed_rays:
         return replace(found, aims={}, start=None)
     return replace(found, aims={place: replace(aim, rays=settings.aimed_rays) for place, aim in found.aims.items()})
 
 
 @share(SEARCH_SHARE)
-def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """Return the `BackwardTargets` of a scene by probe rays; `axis` is the unit direction of light at field angle 0."""
+def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray, key: str) -> BackwardTargets:
+    """
+    Return the `BackwardTargets` of a scene by probe rays; `axis` is the unit direction of light at field angle 0.
+
+    `key` holds everything that they depend on.
+    """
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
@@ -112,7 +117,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
         else:  # straight from the detector to the opening
             out = DesignStep(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
             back = DesignPath(table, (out,), opening)
-        found = automatic_targets(table, back, scatterers)
+        found = kept_targets(scene, scatterers, f"{key} backward", lambda: automatic_targets(table, back, scatterers))
         points, normals = surface_points(table, table.detector, fewer_rays(PROBES), rng)
         towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
         fitted = DetectorImages(back).fitted(0, points, towards, rng)

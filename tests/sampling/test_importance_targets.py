@@ -20,12 +20,14 @@ from refusals import each_refused
 import mistray
 from mistray import MistrayError
 from mistray.kernel.targets import AimSet, Target
+from mistray.sampling import importance_targets as importance_module
 from mistray.sampling.design_path import DesignPath, find_design_path
 from mistray.sampling.detector_images import FAR, DetectorImages
 from mistray.sampling.importance_targets import automatic_targets, importance_targets
 from mistray.settings import Settings
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.time_budget import within
 
 D_LINE_NM = 587.5618
 
@@ -45,6 +47,41 @@ def aims_of(scene: Any, **settings: Any) -> dict[tuple[str, str], AimSet]:
     table = SurfaceTable(scene, 550.0)
     found = importance_targets(table, scene, Settings(**settings))
     return {(table.ids[surface], "back" if to_back else "front"): value for (surface, to_back), value in found.items()}
+
+
+def test_targets_of_the_disk_cache(tmp_path, monkeypatch) -> None:
+    """Targets are read again to the last digit; they are searched anew if a surface moves or an entry is broken."""
+    monkeypatch.setenv("MISTRAY_CACHE", str(tmp_path))
+    searches = []
+    monkeypatch.setattr(
+        importance_module, "automatic_targets", lambda *of: searches.append(of) or automatic_targets(*of)
+    )
+
+    def found(**values: float) -> dict[Any, list[Any]]:
+        scene = mistray.load("baffle_tube")
+        for key, value in values.items():
+            params = mi.traverse(scene)
+            params[key.replace("__", ".")] += value
+            params.update()
+        monkeypatch.setattr(importance_module, "_known", {})  # of this process
+        monkeypatch.setattr(importance_module, "_known_sets", {})
+        table = SurfaceTable(scene, 550.0)
+        aims = importance_targets(table, scene, Settings(aimed_rays=2))
+        return {place: [vars(target) for target in aim.targets] for place, aim in aims.items()}
+
+    first = found()
+    assert len(searches) == 1
+    assert repr(found()) == repr(first)
+    assert len(searches) == 1
+    assert repr(found(lens_front__z=1e-3)) != repr(first)
+    assert len(searches) == 2
+    for path in tmp_path.iterdir():
+        path.write_bytes(path.read_bytes()[:-9])
+    assert repr(found()) == repr(first)
+    assert len(searches) == 3
+    with within(3600.0):  # such a search might end early
+        assert found().keys() == first.keys()
+    assert len(searches) == 4
 
 
 def test_paraxial_images_are_those_of_the_audited_table():

@@ -11,6 +11,7 @@ import pytest
 from refusals import refused
 from scipy.interpolate import CubicSpline
 
+from mistray.cache.kept_results import forget
 from mistray.kernel import scatter_tables
 from mistray.kernel.scatter_tables import Side, make_side, side_of
 from mistray.physics import contamination, mie
@@ -159,7 +160,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _forget() -> None:
-    for function in (kept_cloud, particle_clouds._cache, contamination.cloud):
+    forget()
+    for function in (kept_cloud, contamination.cloud):
         function.cache_clear()
 
 
