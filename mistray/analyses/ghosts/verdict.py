@@ -167,18 +167,18 @@ def remedy(report: GhostReport) -> Remedy | None:
         return None
     wanted = _design_events(report)
     detectors = {name for t in report.values() for name in t.energy.detected}
-    stray = _stray(report, field)
-    deeds = _deeds(stray, wanted, detectors)
+    rows = {at: _stray(report, at) for at in report}
+    deeds_at = {at: _deeds(stray, wanted, detectors) for at, stray in rows.items()}
+    stray, deeds = rows[field], deeds_at[field]
     if deeds.empty:
         return None
     by_surface = deeds.drop_duplicates(["surface", "row"]).groupby("surface").power_W.sum()
     surface = str(by_surface.idxmax())
     own = deeds[deeds.surface == surface]
     left = {}
-    for at in report:
-        rows = _stray(report, at)
-        guilty = set(_deeds(rows, wanted, detectors).query("surface == @surface").row)
-        left[at] = report.power_of(at, rows.iloc[[k for k in range(len(rows)) if k not in guilty]])
+    for at, found in deeds_at.items():
+        without = np.delete(np.arange(len(rows[at])), found.row[found.surface == surface].to_numpy(np.int64))
+        left[at] = report.power_of(at, rows[at].iloc[without])
     return Remedy(
         surface=surface,
         deed=str(own.groupby("deed").power_W.sum().idxmax()),
