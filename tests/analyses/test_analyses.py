@@ -217,7 +217,6 @@ def test_reports_of_all_analyses_are_written_alike() -> None:
     """By a function of the result, the folder, and the command line that the page quotes."""
     report = mistray.report
     for write in (report.write_objects, report.write_study, report.write_thermal, report.write_quality):
-        arguments = list(inspect.signature(write).parameters)
-        assert {"directory", "command"} <= set(arguments[1:])
+        assert {"directory", "command"} <= set(list(inspect.signature(write).parameters)[1:])
     for text in (report.objects_text, report.study_text, report.thermal_text, report.quality_text):
         assert not {"directory", "command"} & set(inspect.signature(text).parameters)

@@ -343,10 +343,9 @@ def test_what_closes_a_body(tmp_path):
 
 @pytest.mark.quick
 def test_wrong_numbers_are_refused_and_nothing_is_written(tmp_path):
-    scene = mistray.load("plate")
     target = tmp_path / "no.step"
     each_refused(
-        (lambda: mistray.export_step(scene, target, rays_per_path=0), "rays_per_path"),
+        (lambda: mistray.export_step(mistray.load("plate"), target, rays_per_path=0), "rays_per_path"),
         (lambda: mistray.export_step(mistray.load("singlet_window_detector"), target, 80.0), "80 deg"),
     )
     assert not target.exists()

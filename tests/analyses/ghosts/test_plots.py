@@ -329,8 +329,7 @@ class SmoothTrace(FakeTrace):
         y = np.linspace(y0, y1, 2 * SHAPE[0] + 1)[1::2][:, None]
         image = np.zeros(SHAPE)
         for path in (self.fakes[path_id] for path_id in path_ids):
-            inside = np.hypot(x - path.x, y - path.y) < path.radius
-            image[inside] += path.power / (np.pi * path.radius**2)
+            image[np.hypot(x - path.x, y - path.y) < path.radius] += path.power / (np.pi * path.radius**2)
         return Sampled(image, np.zeros((*SHAPE, BATCHES)))
 
 

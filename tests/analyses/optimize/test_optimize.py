@@ -102,7 +102,6 @@ class TestSearch:
 
     def test_ideal_coatings_without_thin_films(self, tmp_path: Path) -> None:
         """The ghost of a plate, R² T², is least where R is; a limit on R by the transmission T² is not touched."""
-        scene = write(tmp_path, plates_text(1, R=0.05, T=0.9))
         given = {
             "trace": {"wavelength_nm": 550, "rays": 32},
             "term": [
@@ -111,7 +110,7 @@ class TestSearch:
             ],
             "variable": [{"name": "R", "parameters": "p0_*.bsdf.R", "low": 1e-3, "high": 0.1, "scale": "log"}],
         }
-        result = optimized(scene, given)
+        result = optimized(write(tmp_path, plates_text(1, R=0.05, T=0.9)), given)
         assert result.after == {"R": pytest.approx(1e-3)}
         assert set(result.parameters) == {"p0_front.bsdf.R", "p0_rear.bsdf.R"}
         assert result.comparison.of("path_power").ratio == pytest.approx(2500, rel=1e-4)

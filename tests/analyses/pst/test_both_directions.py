@@ -259,9 +259,8 @@ def test_rays_of_equal_errors_and_of_a_fixed_number_cost_least() -> None:
     """Cells with V = B/(1 + g f) of the variance, at a factor f of their rays: against a search over all factors."""
     factors = 2.0 ** np.arange(-4, 5.5, 0.5)
     gain, base = np.array([50.0, 0.0, 2.0]), np.array([30.0, 1.0, 4.0])
-    relative = base / (1 + gain * factors[:, None])
     against, along = 10.0, np.array([3.0, 3.0, 3.0])
-    chosen = plans.factors_of_equal_errors(relative, factors, against, along)
+    chosen = plans.factors_of_equal_errors(base / (1 + gain * factors[:, None]), factors, against, along)
     assert chosen[1] == factors[0]
 
     def cost(f: np.ndarray) -> float:

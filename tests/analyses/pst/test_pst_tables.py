@@ -154,9 +154,8 @@ def test_breaks_are_where_the_slope_changes():
     assert first.change_se == pytest.approx(np.sqrt(6) * 0.02 / np.log(10) / 2, rel=0.4)
     assert first.before == ()
     # One factor on all angles of a batch changes no slope: the error of a change vanishes, that of the curve stays
-    shared = 1 + 0.5 * np.random.default_rng(3).standard_normal(BATCHES)
     pst = curve((10.0 ** bent(ANGLES)), 0.0)
-    pst.by_batch[:] *= shared
+    pst.by_batch[:] *= 1 + 0.5 * np.random.default_rng(3).standard_normal(BATCHES)
     found = breaks(pst)
     assert pst.standard_error[0] > 0.05 * pst.value[0]
     assert [b.field_deg for b in found] == [20.0, 30.0]

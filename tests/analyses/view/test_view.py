@@ -211,8 +211,7 @@ def test_points_lie_on_the_surfaces_and_on_the_kept_side(scene, cut):
         if cut is not None:
             # a curved rectangle is lifted along its own axis, which lies in these planes
             assert cut.height(surface.vertices).max() < EXACT, name
-            on_plane = [line for line in surface.lines if np.abs(cut.height(line)).max() < EXACT]
-            assert on_plane, name
+            assert [line for line in surface.lines if np.abs(cut.height(line)).max() < EXACT], name
 
 
 def test_halves_have_the_area_of_the_whole(scene):
@@ -337,9 +336,8 @@ def test_a_layout_has_the_rays_of_the_history_and_the_rows_asked_for(trace, scen
     assert labels == ["0 direct image, 3 W", "1 detector → window_rear, 0.0002 W"]
     for path_id, handle in enumerate(handles):
         drawn = [line for line in axes.lines if line.get_color() == handle.get_color() and len(line.get_xdata())]
-        wanted = meridional(trace.history(path_id, layouts.CANDIDATES * 4).rays, 4)
         assert len(drawn) == 4
-        for line, ray in zip(drawn, wanted, strict=True):
+        for line, ray in zip(drawn, meridional(trace.history(path_id, layouts.CANDIDATES * 4).rays, 4), strict=True):
             np.testing.assert_array_equal(line.get_xydata(), ray[:, [2, 1]])
     labels = layout_figure(scene, trace, path_ids=[3, 0], rays=1).axes[0].get_legend_handles_labels()[1]
     assert [label.split()[0] for label in labels] == ["3", "0"]
