@@ -10,11 +10,10 @@ from mistray.analyses.pst.result import CLASSES, Pst
 from mistray.recorders.directions import DirectionGrid
 
 BATCHES = 32
-AREA = 18.0
 FACTS = {
     "scene": "camera",
     "detector": "detector",
-    "detector_area_mm2": AREA,
+    "detector_area_mm2": 18.0,
     "wavelength_nm": [550.0],
     "weights": [1.0],
     "rays": 1_000_000,
@@ -73,10 +72,9 @@ def fake_pst(
     grid = DirectionGrid.of(field_deg, azimuths_deg)
     n, m = grid.shape
     theta = grid.field_deg
-    tilt = 1 + 0.5 * np.cos(np.radians(grid.azimuths_deg)) if m > 1 else np.ones(1)
-    clean = levels(theta)[:, :, None] * np.where(np.arange(len(PATHS)) == 3, 1.0, 0.0)[:, None, None] * tilt
-    clean += levels(theta)[:, :, None] * np.where(np.arange(len(PATHS)) == 3, 0.0, 1.0)[:, None, None]
-    clean *= (theta < dark_from_deg)[None, :, None]
+    clean = np.repeat(levels(theta)[:, :, None] * (theta < dark_from_deg)[:, None], m, axis=2)
+    if m > 1:
+        clean[3] *= 1 + 0.5 * np.cos(np.radians(grid.azimuths_deg))
     spread = noise * (1 + theta / 20)[None, :, None, None]
     batches = clean[..., None] * rng.gamma(1 / spread**2, spread**2, size=(*clean.shape, BATCHES))
     by_batch = np.zeros((len(CLASSES), n, m, BATCHES))
@@ -92,9 +90,8 @@ def fake_pst(
     maps = None
     if map_pixels:
         x = (np.arange(map_pixels) + 0.5) / map_pixels - 0.5
-        total = by_batch.sum(axis=0).mean(axis=-1)
         spot = np.exp(-(x[:, None] ** 2 + x[None, :] ** 2) / 0.02) + 0.02
-        value = total[..., None, None] * spot / spot.mean()
+        value = by_batch.sum(axis=0).mean(axis=-1)[..., None, None] * spot / spot.mean()
         maps = np.stack([value, 0.1 * value])
     return Pst(
         grid=grid,

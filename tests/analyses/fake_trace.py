@@ -21,6 +21,9 @@ NAMES = ("window_front", "window_rear", "L1_front", "L1_rear", "stop_wall", "det
 PARTS = {name: name.partition("_")[0] for name in NAMES}
 SURFACES = {name: GLASS for name in PARTS} | {"stop_wall": STRUCTURE, "detector": SENSOR, "(glass)": GLASS}
 LENS = "window_front:T window_rear:T L1_front:T L1_rear:T"
+WIDE = f"{LENS} detector:R L1_rear:T L1_front:T window_rear:R L1_front:T L1_rear:T detector:A"
+ROUND = f"{LENS} detector:R L1_rear:R detector:A"
+TWIN = f"{LENS} detector:R L1_rear:T L1_front:R L1_rear:T detector:A"
 DETECTOR_ABSORBS = 0.8
 EXTENT = (-2.0, 2.0, -1.5, 1.5)
 SHAPE = (60, 80)
@@ -73,8 +76,7 @@ class FakeTrace:
         detected = sum(path.power for path in self.fakes)
         self.paths = self._path_table()
         self.extent = EXTENT
-        self.coating_error = 0.0
-        self.own_notes = []
+        self.coating_error, self.own_notes = 0.0, []
         self.recorders, self.detectors = {}, ["detector"]
         self.tables = []  # no surfaces: a report of it says nothing of coatings
         self.shares = shares or {550.0: 1.0}
@@ -85,8 +87,7 @@ class FakeTrace:
         self.scattered_rays_per_start, self.effective_scattered_rays = 0.0, 0.0
         self.energy = self._energy(detected, 1.0, cut_events)
         self.surfaces = self._surfaces(1.0)
-        self.segments = 12345
-        self.seconds = 0.25
+        self.segments, self.seconds = 12345, 0.25
 
     def _path_table(self):
         """By the real thing: paths without light stand in for those of the other wavelengths."""
@@ -102,8 +103,7 @@ class FakeTrace:
         return table
 
     def _energy(self, detected, share, cut_events):
-        launched = 5.0 * share
-        glass = 0.02 * share
+        launched, glass = 5.0 * share, 0.02 * share
         absorbed = launched - detected - 1.25 * share - cut_events - 1e-6 * share - glass
         return Energy(
             launched_W=launched,
@@ -174,8 +174,7 @@ class FakeTrace:
         return {path_id: [SimpleNamespace(points=ray) for ray in self.history(path_id, n).rays] for path_id in path_ids}
 
     def history(self, path_id, n=8):
-        path = self.fakes[path_id]
-        rays = []
+        path, rays = self.fakes[path_id], []
         for start in np.linspace(-0.8, 0.8, n):
             knots = [[0.0, start, -2.0], [0.0, start, 0.0], [0.0, start * 0.9, 1.0]]
             if "detector:R" in path.events:
@@ -187,11 +186,9 @@ class FakeTrace:
 def paths_at(field_deg: float) -> list[FakePath]:
     """A field with a direct image (below 18 degrees), two ghosts, a structure path and one of very few rays."""
     y = 0.1 * field_deg
-    window = f"{LENS} detector:R L1_rear:T L1_front:T window_rear:R L1_front:T L1_rear:T detector:A"
-    lens = f"{LENS} detector:R L1_rear:R detector:A"
     paths = [
-        FakePath(window, 2e-4, 400, 0.0, -y, 0.5),
-        FakePath(lens, 1e-4, 400, 0.0, y, 0.05),
+        FakePath(WIDE, 2e-4, 400, 0.0, -y, 0.5),
+        FakePath(ROUND, 1e-4, 400, 0.0, y, 0.05),
         FakePath(f"stop_wall:R {LENS} detector:A", 3e-6, 100, 0.5, y, 0.3),
         FakePath(f"{LENS} stop_wall:R detector:A", 1e-9, 3, -1.0, 1.0, 1e-5),
     ]
@@ -244,28 +241,22 @@ def trace_in_colours(field_deg: float) -> FakeTrace:
     return FakeTrace(paths, field_deg, shares=SHARES)
 
 
-# Three ghosts whose order differs by power, by RMS irradiance and by the brightest pixel.
+# Order of three ghosts by power, by RMS irradiance and by the brightest pixel.
 # Discs of even irradiance: P/(π a²) is the peak and 2P/(π a²) the RMS irradiance, as r_rms² = a²/2
-# 1 mW: peak 0.00063, RMS irradiance 0.0013
-WIDE = f"{LENS} detector:R L1_rear:T L1_front:T window_rear:R L1_front:T L1_rear:T detector:A"
-ROUND = f"{LENS} detector:R L1_rear:R detector:A"  # 0.2 mW: peak 0.0016, RMS irradiance 0.0032
-# Two discs of 0.1 mW at x = ±1 mm, r_rms = 1 mm: peak 0.0032, RMS irradiance 0.00006
-TWIN = f"{LENS} detector:R L1_rear:T L1_front:R L1_rear:T detector:A"
 ORDERS = {"rms": (ROUND, WIDE, TWIN), "power": (WIDE, ROUND, TWIN), "peak": (TWIN, ROUND, WIDE)}
-RANKED_LINES = {450.0: 0.5, 650.0: 0.5}
 
 
 @cache
 def _traced() -> FakeTrace:
     paths = []
-    for sign, line in zip((-1, 1), RANKED_LINES, strict=True):
+    for x, line in ((-1.0, 450.0), (1.0, 650.0)):
         paths += [
-            FakePath(WIDE, 5e-4, 100_000, 0.0, 0.0, 0.7071, line),
-            FakePath(ROUND, 1e-4, 20_000, 0.0, 0.0, 0.2, line),
-            FakePath(TWIN, 1e-4, 20_000, float(sign), 0.0, 0.1, line),
+            FakePath(WIDE, 5e-4, 100_000, 0.0, 0.0, 0.7071, line),  # 1 mW: peak 0.00063, RMS irradiance 0.0013
+            FakePath(ROUND, 1e-4, 20_000, 0.0, 0.0, 0.2, line),  # 0.2 mW: peak 0.0016, RMS irradiance 0.0032
+            FakePath(TWIN, 1e-4, 20_000, x, 0.0, 0.1, line),  # r_rms = 1 mm: peak 0.0032, RMS irradiance 0.00006
             FakePath(f"{LENS} detector:A", 1.0, 1000, 0.0, 0.0, 0.02, line),
         ]
-    return FakeTrace(paths, shares=RANKED_LINES)
+    return FakeTrace(paths, shares={450.0: 0.5, 650.0: 0.5})
 
 
 def ranked_report(rank: str = "rms") -> GhostReport:

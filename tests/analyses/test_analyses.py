@@ -53,15 +53,13 @@ def test_text_holds_the_lists(found: Any, estimates: pd.DataFrame) -> None:
     text = table_text(output.estimate_table(found.products, 2))
     assert text.count("… and") == 2
     np.testing.assert_allclose(estimates.groupby("angle_deg").percent.sum(), 100, rtol=1e-12)
-    assert "no common object scatters" in table_text(
-        output.estimate_table([replace(row, pst=Estimate(0.0, 0.0)) for row in found.products])
-    )
+    dark = [replace(row, pst=ZERO) for row in found.products]
+    assert "no common object scatters" in table_text(output.estimate_table(dark))
     of_shape = groups(found)
     assert set(of_shape.values()) <= set(STYLES)
-    assert of_shape["L1_front"] == "optics"
-    assert of_shape["barrel_7_plane"] == "apart"  # its back is seen, its front is lit
-    assert of_shape["barrel_3_cone"] == "common"
-    assert of_shape["barrel_0_front_face"] == "illuminated"
+    expected = {"L1_front": "optics", "barrel_3_cone": "common", "barrel_0_front_face": "illuminated"}
+    expected["barrel_7_plane"] = "apart"  # its back is seen, its front is lit
+    assert expected.items() <= of_shape.items()
     assert of_shape["L4_edge"] in ("critical", "common")
     (axes,) = objects_layout(found, "camera").axes
     shown = {text.get_text().strip() for text in axes.texts}
@@ -81,14 +79,21 @@ def test_files(found: Any, estimates: pd.DataFrame, tmp_path: Path) -> None:
     assert record["critical"][0]["id"] == found.critical[0].id
     html = (out / "objects.html").read_text(encoding="utf-8")
     html_pages.check(html)
-    assert "a &lt;camera&gt;" in html
-    assert "<camera>" not in html
+    assert ("a &lt;camera&gt;" in html, "<camera>" in html) == (True, False)
+
+
+Pair = tuple[float, float]
 
 
 def emitter(name: str, part: str, watts: float, kelvin: float = 293.0, kind: str = "surface") -> Emitter:
     share = Estimate(0.2, 0.01) if part else UNKNOWN
     percent = 100 * watts / 5.01e-6
     return Emitter(name, part, kind, kelvin, 100, share, Estimate(0.1, 0.002), Estimate(watts, 0.02 * watts), percent)
+
+
+def back(name: str, part: str, share: float, nitd: Pair, shielded: Pair, zones: Pair) -> NarcissusReturn:
+    by_zone = tuple(Estimate(kelvin, se) for kelvin, se in zip(zones, (0.03, 0.04), strict=True))
+    return NarcissusReturn(name, part, Estimate(share, 1e-4), Estimate(*nitd), Estimate(*shielded), by_zone)
 
 
 EMITTERS = [emitter(f"tube_{k}", "tube", 1e-6 / 2**k) for k in range(14)]
@@ -114,30 +119,21 @@ REPORT = ThermalReport(
     band_error=0.004,
     detector="detector",
     returned=[
-        NarcissusReturn(
-            "lens_<rear>", "lens", Estimate(0.0015, 1e-4), Estimate(0.25, 0.02), Estimate(0.4, 0.03),
-            (Estimate(0.5, 0.03), Estimate(0.3, 0.04)),
-        ),
-        NarcissusReturn(
-            "(total reflection)", "", Estimate(0.0004, 1e-4), Estimate(0.06, 0.02), Estimate(0.06, 0.02),
-            (Estimate(0.06, 0.03), Estimate(0.06, 0.04)),
-        ),
+        back("lens_<rear>", "lens", 0.0015, (0.25, 0.02), (0.4, 0.03), (0.5, 0.3)),
+        back("(total reflection)", "", 0.0004, (0.06, 0.02), (0.06, 0.02), (0.06, 0.06)),
     ],
     zones_mm=(0.0, 2.0, 3.0),
     facts={"rays": 400000, "seconds": 1.5, "detector_area_mm2": 4.0, "settings": {"max_scatters": 3}},
     notes=["a <note>"],
-)  # fmt: skip
+)
 ZERO = Estimate(0.0, 0.0)
-NOTHING = replace(
-    REPORT, emitters=[], total_W_mm2=ZERO, image_W_mm2=ZERO, to_image=UNKNOWN, nitd_K=UNKNOWN, notes=[], returned=[],
-    zones_mm=(),
-)  # fmt: skip
+DARK = {"total_W_mm2": ZERO, "image_W_mm2": ZERO, "to_image": UNKNOWN, "nitd_K": UNKNOWN, "zones_mm": ()}
+NOTHING = replace(REPORT, emitters=[], notes=[], returned=[], **DARK)
 
 
 def test_thermal_text_and_pictures() -> None:
     lines = thermal_text(REPORT).splitlines()
-    first = next(line for line in lines if line.startswith("lens_<rear>"))
-    assert "3.000e-06 ± 6.0e-08" in first
+    assert "3.000e-06 ± 6.0e-08" in next(line for line in lines if line.startswith("lens_<rear>"))
     assert any("NITD" in line and line.endswith("0.310 ± 0.020") for line in lines)
     (back,) = (line.split() for line in lines if line.startswith("lens_<rear>") and line.endswith("0.050"))
     assert " ".join(back) == "lens_<rear> lens 1.50e-03 ± 1.0e-04 0.250 ± 0.020 0.400 ± 0.030 0.200 ± 0.050"
@@ -167,14 +163,12 @@ def test_thermal_files(tmp_path: Path) -> None:
     assert {"thermal.png", "narcissus_field.csv"} <= {file.name for file in files}
     table = pd.read_csv(out / "thermal.csv")
     assert list(table.name) == [e.name for e in REPORT.emitters]
-    assert table.irradiance_W_mm2[0] == 3e-6
-    assert table.percent[0] == pytest.approx(100 * 3 / 5.01)
+    assert (table.irradiance_W_mm2[0], table.percent[0]) == (3e-6, pytest.approx(100 * 3 / 5.01))
     assert list(pd.read_csv(out / "narcissus.csv").nitd_K) == [0.25, 0.06]
     record = json.loads((out / "thermal.json").read_text(encoding="utf-8"))
-    assert record["nitd_K"] == 0.31
+    assert (record["nitd_K"], record["emitters"][-2]["share"]) == (0.31, None)
     zone = {"surface": "lens_<rear>", "low_mm": 2.0, "high_mm": 3.0, "nitd_K": 0.3, "nitd_K_se": 0.04}
     assert record["narcissus_field"][1] == zone
-    assert record["emitters"][-2]["share"] is None
     assert record == {"title": "a & b", "command": "mistray thermal system"} | record_of(REPORT)
     text = (out / "report.html").read_text(encoding="utf-8")
     for words in ("a &amp; b", "a &lt;note&gt;", "lens_&lt;rear&gt;"):
@@ -183,11 +177,9 @@ def test_thermal_files(tmp_path: Path) -> None:
     html_pages.check(html_page(page(NOTHING, "a & b", "mistray thermal a")))
 
 
-HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
-
-
 def test_curves_are_those_of_the_result(load_scene, monkeypatch):
-    (one,) = mistray.transfer(load_scene(paraboloid_text(HALO, detector=5.0)), rays=3000, pixel_mm=0.004)
+    halo = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
+    (one,) = mistray.transfer(load_scene(paraboloid_text(halo, detector=5.0)), rays=3000, pixel_mm=0.004)
     left, right = mtf_figure(one, "mirror").axes
     drawn = {line.get_label(): line.get_ydata() for line in left.lines}
     np.testing.assert_allclose(drawn["lens alone, tangential"], one.lens())
@@ -216,8 +208,7 @@ def test_no_stray_light_and_few_frequencies(load_scene, options):
 
 def test_an_image_far_out_of_focus_has_words_instead_of_pictures():
     """Of a point 500 mm before a lens for distant objects the wavefront is steeper than any grid of the default."""
-    found = mistray.transfer(mistray.load("cooke_triplet", "point:0,0,-500"), rays=1000)
-    parts = transfer_parts(found, "triplet")
+    parts = transfer_parts(mistray.transfer(mistray.load("cooke_triplet", "point:0,0,-500"), rays=1000), "triplet")
     assert not any(isinstance(part, FigurePart) for part in parts)
     assert any("wavefront" in str(part) and "focus" in str(part) for part in parts)
 
@@ -226,7 +217,6 @@ def test_reports_of_all_analyses_are_written_alike() -> None:
     """By a function of the result, the folder, and the command line that the page quotes."""
     report = mistray.report
     for write in (report.write_objects, report.write_study, report.write_thermal, report.write_quality):
-        arguments = list(inspect.signature(write).parameters)
-        assert {"directory", "command"} <= set(arguments[1:])
+        assert {"directory", "command"} <= set(list(inspect.signature(write).parameters)[1:])
     for text in (report.objects_text, report.study_text, report.thermal_text, report.quality_text):
         assert not {"directory", "command"} & set(inspect.signature(text).parameters)

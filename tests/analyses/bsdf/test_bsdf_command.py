@@ -18,12 +18,8 @@ ABG = ("bsdf", "abg", "--A", "0.0025", "--B", "0.001", "--g", "1.8")
 
 def rows(out: str) -> dict[float, list[float]]:
     """Lines of the table: angle of incidence → its other numbers."""
-    found = {}
-    for line in out.splitlines():
-        if re.fullmatch(r"[\s\d.e+-]+", line) and re.search(r"\d", line):
-            angle, *values = (float(word) for word in line.split())
-            found[angle] = values
-    return found
+    table = (line.split() for line in out.splitlines() if re.fullmatch(r"[\s\d.e+-]*\d[\s\d.e+-]*", line))
+    return {float(angle): [float(word) for word in values] for angle, *values in table}
 
 
 class TestTotals:
@@ -36,8 +32,7 @@ class TestTotals:
         command = (*ABG, "--angles-deg", 0, 60, "--from-back")
         assert re.search(r"^ +60 .* – +– +–$", succeeds(capsys, *command), re.MULTILINE)
         found = json_units.read(succeeds(capsys, *command, "--json"))["totals"]
-        through = [row["scattered"] is None for row in found if row["event"] == "transmission"]
-        assert through == [False, True]
+        assert [row["scattered"] is None for row in found if row["event"] == "transmission"] == [False, True]
         whole, part = (succeeds(capsys, *ABG, "--R", share, "--angles-deg", 0) for share in (1, 0.1))
         assert "\nnote: ABg: B 0.001 and g 1.8 are outside what is usual" in whole
         assert rows(part)[0][0] == pytest.approx(0.1 * rows(whole)[0][0], rel=5e-4)
@@ -112,8 +107,7 @@ class TestFiles:
         assert set(table.theta_i_deg) == {0, 30}
         np.testing.assert_allclose(table.bsdf, 0.0025 / (0.001 + table.distance**1.8), rtol=1e-6)
         one = json_units.read(out)["curves"][0]
-        r = np.array(one["distance"])
-        np.testing.assert_allclose(one["bsdf_1_sr"], 0.0025 / (0.001 + r**1.8), rtol=1e-6)
+        np.testing.assert_allclose(one["bsdf_1_sr"], 0.0025 / (0.001 + np.array(one["distance"]) ** 1.8), rtol=1e-6)
 
     @pytest.mark.parametrize("kind", ["bsdf", "csv"])
     def test_table_is_a_model_again(self, capsys: Captured, tmp_path: Path, kind: str) -> None:
@@ -125,27 +119,25 @@ class TestFiles:
         assert Tabulated.read(path).samples.specular_deg.tolist() == [0, 20, 40, 60]
 
 
-class TestBrushedSample:
-    """A table of a + b cos 2(φ - ρ), an anisotropic sample."""
+def test_rotations_of_a_brushed_sample(capsys: Captured, tmp_path: Path) -> None:
+    """A table of a + b cos 2(φ - ρ): the peak, along x, is a + b cos 2ρ, the TIS π a; a table of it is that again."""
+    table = brushed.write_two_fold(tmp_path / "brushed.csv", 0.1, 0.05, step=30.0)
+    file, picture, copy = tmp_path / "curves.csv", tmp_path / "brushed.png", tmp_path / "copy.bsdf"
+    more = ("--anisotropy", "keep", "--event", "reflection", "--angles-deg", 40, "--rotations-deg", 0, 30, 90)
+    assert "0.125" in succeeds(capsys, "bsdf", table, *more, "--table", copy, "--csv", file, "--plot", picture)
+    record, again = (json.loads(succeeds(capsys, "bsdf", name, *more, "--json")) for name in (table, copy))
+    found = {row["rotation_deg"]: row for row in record["totals"]}
+    assert [curve["rotation_deg"] for curve in record["curves"]] == list(found) == [0, 30, 90]
+    for (rotation, row), other in zip(found.items(), again["totals"], strict=True):
+        assert row["peak_1_sr"] == pytest.approx(0.1 + 0.05 * np.cos(2 * np.radians(rotation)), rel=2e-3)
+        assert row["scattered"] == pytest.approx(0.1 * np.pi, rel=2e-3)
+        assert other["peak_1_sr"] == pytest.approx(row["peak_1_sr"], rel=0.02)
+        assert other["scattered"] == pytest.approx(row["scattered"], rel=0.01)
+    assert file.read_text(encoding="utf-8").splitlines()[1].startswith("rotation_deg,theta_i_deg")
+    assert picture.stat().st_size > 0
 
-    def test_rotations(self, capsys: Captured, tmp_path: Path) -> None:
-        """The peak, along x, is a + b cos 2ρ, the TIS π a; a table of the model is that again."""
-        table = brushed.write_two_fold(tmp_path / "brushed.csv", 0.1, 0.05, step=30.0)
-        file, picture, copy = tmp_path / "curves.csv", tmp_path / "brushed.png", tmp_path / "copy.bsdf"
-        more = ("--anisotropy", "keep", "--event", "reflection", "--angles-deg", 40, "--rotations-deg", 0, 30, 90)
-        assert "0.125" in succeeds(capsys, "bsdf", table, *more, "--table", copy, "--csv", file, "--plot", picture)
-        record, again = (json.loads(succeeds(capsys, "bsdf", name, *more, "--json")) for name in (table, copy))
-        found = {row["rotation_deg"]: row for row in record["totals"]}
-        assert [curve["rotation_deg"] for curve in record["curves"]] == list(found) == [0, 30, 90]
-        for (rotation, row), other in zip(found.items(), again["totals"], strict=True):
-            assert row["peak_1_sr"] == pytest.approx(0.1 + 0.05 * np.cos(2 * np.radians(rotation)), rel=2e-3)
-            assert row["scattered"] == pytest.approx(0.1 * np.pi, rel=2e-3)
-            assert other["peak_1_sr"] == pytest.approx(row["peak_1_sr"], rel=0.02)
-            assert other["scattered"] == pytest.approx(row["scattered"], rel=0.01)
-        assert file.read_text(encoding="utf-8").splitlines()[1].startswith("rotation_deg,theta_i_deg")
-        assert picture.stat().st_size > 0
 
-    def test_refused(self, capsys: Captured, tmp_path: Path) -> None:
-        table = brushed.write_two_fold(tmp_path / "brushed.csv", 0.1, 0.05, step=30.0)
-        for more in ((), ("--anisotropy", "mean", "--rotations-deg", 0)):
-            assert re.search("anisotropy|rotations-deg", fails(capsys, "bsdf", table, *more))
+def test_a_brushed_sample_needs_an_anisotropy_and_its_mean_no_rotation(capsys: Captured, tmp_path: Path) -> None:
+    table = brushed.write_two_fold(tmp_path / "brushed.csv", 0.1, 0.05, step=30.0)
+    for more in ((), ("--anisotropy", "mean", "--rotations-deg", 0)):
+        assert re.search("anisotropy|rotations-deg", fails(capsys, "bsdf", table, *more))

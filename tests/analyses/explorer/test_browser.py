@@ -19,7 +19,6 @@ pytestmark = [pytest.mark.long, needs_chromium]
 ROOT = "document.querySelector('.mistray-explorer')"
 # Turns a control and comes back when the page has been drawn anew: milliseconds
 TURN = vectors.text("browser_turn.js")
-MOVES = 20
 BARS_S = 0.1, 5.0  # from the slider to the page, and to the trace; twice that where another test runs beside this one
 
 
@@ -125,23 +124,20 @@ def test_twenty_moves(tmp_path):
     """Prints the table of docs/app.md: ``python -m pytest -s tests/analyses/explorer/test_browser.py -k twenty``."""
     explorer = Explorer("phone_camera", field_deg=[10.0, 0.0, 5.0, 15.0, 20.0])
     explorer.prepare()
-    chance = random.Random(22)
-    rows = []
+    chance, rows = random.Random(22), []
     with served(explorer, tmp_path) as shown:
-        for _ in range(MOVES):
+        for _ in range(20):
             shown.until(f"{ROOT}.dataset.label === 'traced' && !{ROOT}.dataset.busy", 120)
             control = chance.choice(list(explorer.controls.values()))
-            now = explorer.state[control.name]
-            others = [choice for choice in control.choices if choice != now]
+            others = [choice for choice in control.choices if choice != explorer.state[control.name]]
             place = chance.choice(others) if others else chance.randrange(1001)
             began = time.monotonic()
             to_page = turn(shown, control.name, place)
             shown.until(f"{ROOT}.dataset.label === 'traced'", 60)
             took = time.monotonic() - began
-            found = explorer.view()["difference"]
             value = explorer.state[control.name]
             said = value if isinstance(value, str) else f"{value:.4g} {control.unit}".strip()
-            rows.append((f"{control.label} {said}", to_page, took, found))
+            rows.append((f"{control.label} {said}", to_page, took, explorer.view()["difference"]))
         assert shown.errors == []
     print("\n\n| move | page [ms] | traced [s] | estimate [W] | traced [W] | off |\n|---|---|---|---|---|---|")
     for name, to_page, took, d in rows:

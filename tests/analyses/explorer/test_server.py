@@ -51,15 +51,13 @@ def call(server, name, given=None, **headers):
 def test_the_page_and_its_files(server):
     for name, kind in (("", "html"), ("page.js", "javascript"), ("explore.js", "javascript"), ("explore.css", "css")):
         status, headers, body = ask(server, "GET", f"/{server.token}/{name}")
-        assert status == 200
+        assert (status, bool(body)) == (200, True)
         assert kind in headers["Content-Type"]
-        assert body
         assert "default-src 'none'" in headers["Content-Security-Policy"]
-        assert headers["Cache-Control"] == "no-store"
-        assert headers["Referrer-Policy"] == "no-referrer"
+        assert (headers["Cache-Control"], headers["Referrer-Policy"]) == ("no-store", "no-referrer")
     for name in ("page.html", "explore.js", "page.js", "explore.css"):
-        assert not [word for word in ("http://", "https://", "//cdn", "@import") if word in asset(name).replace(
-            "http://www.w3.org/2000/svg", "")]  # fmt: skip
+        text = asset(name).replace("http://www.w3.org/2000/svg", "")
+        assert not [word for word in ("http://", "https://", "//cdn", "@import") if word in text]
 
 
 def test_who_is_refused(server, explorer):
@@ -78,9 +76,7 @@ def test_who_is_refused(server, explorer):
     for origin in ("http://evil.example", "null", f"https://{LOOPBACK}:{server.port}", f"{here}.evil"):
         assert call(server, "page", Origin=origin)[0] == 403, origin
     other = PageServer(explorer)
-    assert other.token != token
-    assert len(other.token) >= 32
-    assert other.server_address[0] == LOOPBACK
+    assert (other.token != token, len(other.token) >= 32, other.server_address[0]) == (True, True, LOOPBACK)
     other.server_close()
     with refused(str(server.port)):
         PageServer(explorer, server.port)  # which is taken
@@ -88,8 +84,7 @@ def test_who_is_refused(server, explorer):
 
 def test_calls_answer(server, explorer):
     status, page = call(server, "page")
-    assert status == 200
-    assert {control["name"] for control in page["controls"]} == set(explorer.controls)
+    assert (status, {control["name"] for control in page["controls"]}) == (200, set(explorer.controls))
     status, view = call(server, "move", {"values": {"layers": 110.0}})
     assert (status, view["label"]) == (200, "estimate")
     assert call(server, "reset")[1]["values"]["layers"] == 100.0
@@ -214,12 +209,15 @@ def test_the_front_end_speaks_with_a_model(at_start, tmp_path):
                               input.dispatchEvent(new Event("input")); })()""")
         shown.until("shown.dataset.answers === '1'")
         assert at_start.state["layers"] == pytest.approx(95.0)
-        view = at_start.settle()
-        shown.run(f"tell({json.dumps(view)})")
+        shown.run(f"tell({json.dumps(at_start.settle())})")
         assert shown.run("shown.dataset.label") == "traced"
         shown.run("leave()")
-        assert shown.run("listeners.size") == 0
-        assert shown.errors == []
+        assert (shown.run("listeners.size"), shown.errors) == (0, [])
+
+
+def check_stray(scene, shown, **limits):
+    t = mistray.trace(scene, field_deg=0.0, **limits)
+    assert sum(row.power_W for row in t.paths if row.kind != "direct") == pytest.approx(shown["stray_W"][0], rel=1e-4)
 
 
 @pytest.fixture
@@ -230,17 +228,15 @@ def saving(at_start, tmp_path):
     at_start.saving.folder = Path()
 
 
-def test_the_scene_has_the_coatings_and_numbers_that_were_turned(saving, tmp_path):
+def test_the_scene_has_the_coatings_and_numbers_that_were_turned(saving):
     saving.move({"coating window": "bbar3", "layers": 110.0, "detector.bsdf.R": 0.1})
     scene = mistray.load(saving.save_scene())
     for shape in scene.shapes():
         if shape.id() in saving.controls["coating window"].surfaces:
-            thickness = [layer.thickness_nm for layer in shape.bsdf().coating.layers]
-            assert thickness[0] == pytest.approx(1.1 * 550 / 4 / 1.38, rel=1e-5)
+            first, *_ = shape.bsdf().coating.layers
+            assert first.thickness_nm == pytest.approx(1.1 * 550 / 4 / 1.38, rel=1e-5)
     assert parameters(scene)["detector.bsdf.R"].value[0] == pytest.approx(0.1, rel=1e-6)
-    shown = saving.settle()
-    t = mistray.trace(scene, rays=2000, field_deg=0.0, max_reflections=2)
-    assert sum(row.power_W for row in t.paths if row.kind != "direct") == pytest.approx(shown["stray_W"][0], rel=1e-4)
+    check_stray(scene, saving.settle(), rays=2000, max_reflections=2)
 
 
 def test_nothing_is_replaced_but_its_own_files(saving, tmp_path):
@@ -286,9 +282,7 @@ def test_names_of_any_kind(saving, tmp_path):
     (name,) = [name for name, one in other.controls.items() if "a*b? c" in one.surfaces and one.choices]
     other.move({name: "bbar3"})
     shown = other.settle()
-    scene = mistray.load(other.save_scene())
-    t = mistray.trace(scene, rays=500, field_deg=0.0)
-    assert sum(row.power_W for row in t.paths if row.kind != "direct") == pytest.approx(shown["stray_W"][0], rel=1e-4)
+    check_stray(mistray.load(other.save_scene()), shown, rays=500)
     assert "窓 [1]" in other.save_study().read_text(encoding="utf-8")
 
 

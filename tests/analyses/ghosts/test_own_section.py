@@ -69,8 +69,7 @@ def report() -> GhostReport:
 
 
 def test_the_section_is_on_the_page_and_among_the_tables(section: Any, report: GhostReport, tmp_path: Path) -> None:
-    files = {file.name for file in write_all(report, tmp_path / "out", "plate")}
-    assert "ghost_surfaces.csv" in files
+    assert "ghost_surfaces.csv" in {file.name for file in write_all(report, tmp_path / "out", "plate")}
     table = pd.read_csv(tmp_path / "out" / "ghost_surfaces.csv")
     assert list(table.columns) == ["field_deg", "surface", "power_W", "power_se_W"]
     expected = reflecting(report)

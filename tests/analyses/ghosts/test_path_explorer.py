@@ -1,7 +1,6 @@
 """The panel of a field: what the page holds of its paths, and the scripts that work with it."""
 
 import base64
-import importlib
 import io
 import json
 import re
@@ -74,9 +73,8 @@ def test_page_holds_the_power_of_every_path():
 
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     room = 8.0 * SHAPE[0] * SHAPE[1] * (1 + 3 * (BATCHES + WEIGHTS))
-    monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.maps.path_maps"), "MAP_BYTES", room)
-    t = trace_at(0.0)
-    report = ghosts_of(t)
+    monkeypatch.setattr("mistray.analyses.ghosts.maps.path_maps.MAP_BYTES", room)
+    report = ghosts_of(trace_at(0.0))
     table = report.table(0.0).set_index("path_id")
     maps = report.path_maps(0.0, list(table.index))
     assert list(maps.paths) == [0, 1]
@@ -88,9 +86,8 @@ def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
 @needs_node
 def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
     """A table of the worst path alone: in half of the detector the others have the power of their points there."""
-    fields = importlib.import_module("mistray.analyses.ghosts.page.fields")
-    monkeypatch.setattr(fields, "ROWS_SHOWN", 1)
-    monkeypatch.setattr(fields, "STRONGEST_SHOWN", 1)
+    for name in ("ROWS_SHOWN", "STRONGEST_SHOWN"):
+        monkeypatch.setattr(f"mistray.analyses.ghosts.page.fields.{name}", 1)
     t = trace_at(0.0)
     report = ghosts_of(t)
     table = report.table(0.0).set_index("path_id")
@@ -171,8 +168,7 @@ def test_parts_of_the_scripts():
 
 def stored(text: str) -> np.ndarray:
     """The powers of a store, written from its description."""
-    raw = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8).astype(np.int64)
-    high, low = np.split(raw, 2)
+    high, low = np.split(np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8).astype(np.int64), 2)
     code = 256 * high + low
     return np.where(code == 0, 0.0, 10.0 ** (code / 600 - 100))
 
@@ -203,16 +199,14 @@ def test_powers_json_and_pictures_of_a_page():
     power = np.zeros((60, 80))
     power[40, 60] = 1.0  # in the upper half
     power[40, 59] = 1e-3
-    found = PathMap.of(power, 96)
-    pixel = 0.05
+    found, pixel = PathMap.of(power, 96), 0.05
     x, y = -2 + 60.5 * pixel, -1.5 + 40.5 * pixel
     result = thumbnail(found, EXTENT, (60, 80), (x, y), 0.0)
     assert result.width_mm == pytest.approx(12 * pixel)
     assert result.limits == (-1.0, 3.0)  # 1 W on (0.05 mm)² is 400 W/mm², 1e-3 W is 0.4
     picture = matplotlib.image.imread(io.BytesIO(result.png), format="png")[:, :, :3]
     assert picture.shape[:2] == (SIDE, SIDE)
-    lit = picture.sum(axis=2) > 0
-    middle = SIDE // 2
+    lit, middle = picture.sum(axis=2) > 0, SIDE // 2
     assert lit[middle, middle]
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
     assert rows.mean() == pytest.approx(SIDE / 2 - 0.5, abs=0.6)

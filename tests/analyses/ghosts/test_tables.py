@@ -67,10 +67,9 @@ def test_numbers_headings_and_columns():
         assert with_error(Estimate(value, se)) == text
     text = table_text(Table(columns("<name", "power [W]"), [["a", "1.0"], ["longer", "22.0"]]))
     assert text == "name    power\n          [W]\n------  -----\na         1.0\nlonger   22.0"
-    assert heading_of("z_mm") == ("z", "mm")
-    assert heading_of("slope_before_per_deg") == ("slope before", "decades/°")
-    assert heading_of("frequency_per_mm") == ("frequency", "1/mm")
-    assert heading_of("id") == ("surface", "")
+    headings = {"z_mm": ("z", "mm"), "slope_before_per_deg": ("slope before", "decades/°"), "id": ("surface", "")}
+    headings["frequency_per_mm"] = ("frequency", "1/mm")
+    assert {name: heading_of(name) for name in headings} == headings
     names = ["pst", "pst_se", "power_W", "power_se_W", "flux_W", "flux_W_se", "rays"]
     errors = ["pst_se", "power_se_W", "flux_W_se", None]
     assert [error_of(column, names) for column in ("pst", "power_W", "flux_W", "rays")] == errors
@@ -84,10 +83,8 @@ def test_numbers_headings_and_columns():
     frame = pd.DataFrame({"id": ["<L1>", "wall"], "space": [2, -1], **light, "low": [True, False]})
     html = html_parts([frame_table("t", frame)])
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
-    assert cells[0] == "&lt;L1&gt;"
-    assert cells[2:4] == ["0.500<small>±\u00a00.010</small>", "yes"]
-    assert cells[5:7] == ["–", "–"]
     assert len(cells) == 2 * 4
+    assert [cells[k] for k in (0, 2, 3, 5, 6)] == ["&lt;L1&gt;", "0.500<small>±\u00a00.010</small>", "yes", "–", "–"]
     assert "power_se" not in html
 
 
@@ -111,8 +108,7 @@ def test_main_table_names_the_worst_ghost_of_each_field(report):
 
 def test_csv_holds_every_digit(report, tmp_path):
     files = write_csv(report, tmp_path)
-    names = ["summary", "paths", "energy", "surfaces", "stray_levels"]
-    assert [file.name for file in files] == [f"{name}.csv" for name in names]
+    assert [file.stem for file in files] == ["summary", "paths", "energy", "surfaces", "stray_levels"]
     exact = ("power_W", "power_se_W", "rms_irradiance_W_mm2", "normalised_rms_irradiance")
     by_python = dict.fromkeys(exact, lambda text: float(text or "nan"))  # pandas 2 reads the last bits otherwise
     _, paths, energy, surfaces, _ = (pd.read_csv(file, converters=by_python) for file in files)
@@ -124,8 +120,7 @@ def test_csv_holds_every_digit(report, tmp_path):
         assert list(written.events) == list(table.events)
     for _, rows in energy.groupby("field_deg"):
         power = rows.groupby("entry").power_W.sum()
-        accounted = power.drop(["launched", "unaccounted"]).sum()
-        assert accounted == pytest.approx(power["launched"], rel=1e-12)
+        assert power.drop(["launched", "unaccounted"]).sum() == pytest.approx(power["launched"], rel=1e-12)
         assert list(rows.name[rows.entry == "absorbed in"]) == ["N-BK7"]
     assert len(surfaces) == 3 * 6
 
@@ -144,8 +139,8 @@ def test_csv_per_wavelength_adds_up(colours, tmp_path):
     paths, whole = tables["paths_per_wavelength.csv"], tables["paths.csv"]
     assert whole.groupby("field_deg").size().tolist() == [5, 5]
     assert [len(ids.split()) for ids in whole.path_ids[whole.ghost_2 == "window_rear"]] == [2, 2]
-    power = paths.groupby(["field_deg", "events"]).power_W.sum()
-    pd.testing.assert_series_equal(power, whole.groupby(["field_deg", "events"]).power_W.sum(), rtol=1e-9)
+    got, expected = (table.groupby(["field_deg", "events"]).power_W.sum() for table in (paths, whole))
+    pd.testing.assert_series_equal(got, expected, rtol=1e-9)
     plain = main_table(colours)
     assert [line.split()[0] for line in plain.splitlines() if "detector → L1_rear" in line] == ["0", "10"]
     assert "λ" not in plain
@@ -277,16 +272,14 @@ def test_formats_are_written_by_name_and_wrong_ones_refused(
 
 
 def test_normalised_rms_irradiance_is_over_the_on_axis_image(report):
-    direct = report[0.0].paths[0]
-    nominal = 3.0 / (math.pi * direct.rms_radius_mm**2)
+    nominal = 3.0 / (math.pi * report[0.0].paths[0].rms_radius_mm ** 2)
     assert report.nominal.rms_irradiance_W_mm2.value == pytest.approx(nominal, rel=1e-12)
     table = report.table(20.0)
     expected = table.power_W / (math.pi * table.rms_radius_mm**2) / nominal
     np.testing.assert_allclose(table.normalised_rms_irradiance, expected, rtol=1e-12)
     assert (table.normalised_rms_irradiance_se[~table.few_rays] > 0).all()
     assert table.normalised_rms_irradiance_se[table.few_rays].isna().all()
-    got = Estimate(2.0, 0.02).over(Estimate(4.0, 0.08))
-    assert (got.value, got.se) == (0.5, pytest.approx(0.5 * math.hypot(0.01, 0.02)))
+    assert Estimate(2.0, 0.02).over(Estimate(4.0, 0.08)) == (0.5, pytest.approx(0.5 * math.hypot(0.01, 0.02)))
     assert math.isnan(Estimate(1.0, 0.1).over(Estimate(0.0, 0.0)).value)
     # Two discs of equal power 0.4 mm apart: the pooled second moment is the mean one plus 0.2²
     lines = [fake.FakePath(f"{fake.LENS} detector:A", 1.0, 5000, x, 0.0, 0.1, wavelength=550 + x) for x in (-0.2, 0.2)]
@@ -316,9 +309,8 @@ def test_ranks_and_sums(report):
     assert s.stray_W.value == pytest.approx(sum(part.value for part in s.stray_of_kind_W.values()))
     assert s.direct.power_W.value == pytest.approx(3.0, rel=1e-12)
     assert s.ghost_to_signal.value == pytest.approx(s.stray_W.value / 3.0)
-    assert list(s.paths_of_kind) == ["direct", *STRAY_KINDS]
-    counts = {kind: count for kind, count in s.paths_of_kind.items() if count}
-    assert (s.paths, counts) == (5, {"direct": 1, "ghost": 2, "structure": 2})
+    assert s.paths == 5
+    assert s.paths_of_kind == {**dict.fromkeys(["direct", *STRAY_KINDS], 0), "direct": 1, "ghost": 2, "structure": 2}
     assert s.brightest == report.top(10.0, 1).path_id.iloc[0]
     outside = report.summary(20.0)  # of the field: there is no signal
     assert outside.direct.power_W.value == 0
@@ -375,8 +367,7 @@ def test_on_axis_field_is_traced_for_the_yardstick(monkeypatch):
     assert traced[0]["max_reflections"] == traced[0]["max_scatters"] == 0
     assert spectrum.items() <= traced[0].items()
     assert traced[1] == {"field_deg": 5.0, "rays": 1000, "seed": 7, **spectrum}
-    assert list(report) == [5.0, 20.0]
-    assert seen[-2:] == [(1.5, 2), (2.0, 2)]
+    assert (list(report), seen[-2:]) == ([5.0, 20.0], [(1.5, 2), (2.0, 2)])
     traced.clear()
     report = ghosts("scene", field_deg=[0, 5, 5.0])
     assert [call["field_deg"] for call in traced] == [0.0, 5.0]
@@ -402,8 +393,7 @@ def test_a_path_occurs_once_for_all_wavelengths(colours):
     assert lens.power_W == pytest.approx(1e-4)
     spectrum = colours.spectrum(10.0, lens.path_id)
     assert list(spectrum.wavelength_nm) == [450.0, 550.0, 650.0]
-    assert spectrum.power_W.sum() == pytest.approx(lens.power_W)
-    assert sorted(spectrum.path_id) == sorted(lens.path_ids)
+    assert (spectrum.power_W.sum(), sorted(spectrum.path_id)) == (pytest.approx(lens.power_W), sorted(lens.path_ids))
     assert list(colours.spectrum(10.0, window.path_id).wavelength_nm) == [550.0, 650.0]
     with refused("path 999 is not in the table"):
         colours.spectrum(10.0, 999)
@@ -435,7 +425,7 @@ def test_one_wavelength_is_normalised_to_the_image_at_it(colours):
     assert sum(part.direct.power_W.value for part in parts) == pytest.approx(3.0)
     t = colours[10.0]
     maps = spectral_maps(t)
-    np.testing.assert_array_equal(maps.wavelengths_nm, [450.0, 550.0, 650.0])
+    assert list(maps.wavelengths_nm) == colours.wavelengths_nm
     np.testing.assert_allclose((maps.direct + maps.stray).sum(axis=0), t.irradiance, rtol=1e-12)
     np.testing.assert_allclose(maps.direct[2] + maps.stray[2], t.irradiance_at(650.0)[0], rtol=1e-12)
     np.testing.assert_allclose(maps.stray.sum(axis=0), colours.stray_map(10.0)[0], rtol=1e-12)

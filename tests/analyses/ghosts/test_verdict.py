@@ -40,8 +40,7 @@ def test_worst_paths_and_what_is_left_without_them():
     report = report_of({field: fake.paths_at(field) for field in (0.0, 10.0, 20.0)})
     worst = worst_of_all_fields(report)
     assert len({path.label for path in worst}) == len(worst) == 4
-    assert worst[0].label == "detector → L1_rear"
-    assert worst[0].fields == (0.0, 10.0, 20.0)
+    assert (worst[0].label, worst[0].fields) == ("detector → L1_rear", (0.0, 10.0, 20.0))
     values = {field: bounds(report.top(field, 1, "rms"))[0, 0] for field in report}
     assert worst[0].field_deg == max(values, key=values.get)
     assert worst[-1].few_rays  # three rays in a point have the highest irradiance
@@ -155,9 +154,8 @@ def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced, monk
     report = ghosts(lens_scene(), [0.0, 10.0], rays=100, contested_rays=6400, progress=lambda *at: seen.append(at))
     assert traced == [(0.0, 100), (10.0, 100), (10.0, 6400)]
     assert seen == [(1, 2), (2, 2), (3, 3)]
-    assert report.traced_again == (10.0,)
+    assert (list(report), report.traced_again) == ([0.0, 10.0], (10.0,))
     assert report[10.0].settings["rays"] == 6400
-    assert list(report) == [0.0, 10.0]
     assert report.rivals(10.0).empty
     assert report.top(10.0, 1).events.iloc[0] == fake.ROUND
     traced.clear()  # several sources may each have an angle of their own, which stays
@@ -166,10 +164,9 @@ def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced, monk
     traced.clear()
     monkeypatch.setitem(globals(), "CLOSE", 0.0)
     report = ghosts(lens_scene(), [10.0, 0.0], rays=100)
-    assert report.traced_again == (0.0,)
+    assert (list(report), report.traced_again) == ([10.0, 0.0], (0.0,))
     assert report.nominal_trace is report[0.0]
     assert report.nominal_trace.settings["rays"] == 400
-    assert list(report) == [10.0, 0.0]
 
 
 def test_an_interrupt_leaves_what_was_traced_first(traced, monkeypatch):
@@ -208,8 +205,7 @@ def test_what_is_told(traced):
     # The worst of all fields are contested by the first of all
     first, other = lens_trace(0.0, 400, 0.01), fake.FakeTrace([fake.FakePath(fake.WIDE, 1e-4, 100, radius=0.05)], 10.0)
     report = fake.ghosts_of(first, other)
-    assert report.rivals(0.0).empty
-    assert report.rivals(10.0).empty
+    assert all(report.rivals(field).empty for field in report)
     worst = worst_of_all_fields(report)
     low, high = np.concatenate([bounds(report.top(path.field_deg, 1)) for path in worst[:2]], axis=1)
     assert low[0] > low[1]
@@ -230,35 +226,35 @@ def test_more_rays_are_those_of_a_trace_of_so_many():
 
 
 LINES = {450.0: 1.0, 550.0: 2.0, 650.0: 1.0}
-RAYS = 8000
-
-
-def singlet(pixels=(40, 40)):
-    """A dense flint lens: strong dispersion, two-reflection ghost inside of it; the stop is the lens."""
-    glass = "N-SF5"
-    front = Surface("L1_front", radius=40.0, semi_diameter=6.0, back=glass, part="L1")
-    rear = Surface("L1_rear", z=3.0, radius=-40.0, semi_diameter=6.0, front=glass, part="L1")
-    return Prescription(
-        name="singlet",
-        surfaces=(front, rear),
-        detector=Detector(z=30.0, half_width=20.0, half_height=20.0, pixels=pixels),
-        source=Source(radius=5.0, field_deg=5.0),
-    )
+LENS = {"semi_diameter": 6.0, "part": "L1"}
+# A dense flint lens: strong dispersion, two-reflection ghost inside of it; the stop is the lens
+SINGLET = Prescription(
+    name="singlet",
+    surfaces=(
+        Surface("L1_front", radius=40.0, back="N-SF5", **LENS),
+        Surface("L1_rear", z=3.0, radius=-40.0, front="N-SF5", **LENS),
+    ),
+    detector=Detector(z=30.0, half_width=20.0, half_height=20.0, pixels=(40, 40)),
+    source=Source(radius=5.0, field_deg=5.0),
+)
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return singlet().to_scene()
+    return SINGLET.to_scene()
 
 
 def analyse(scene, seed=0, **options):
     spectrum = {"wavelength_nm": list(LINES), "weights": list(LINES.values())}
-    return mistray.ghosts(scene, field_deg=[0.0], rays=RAYS, seed=seed, **(spectrum | options))
+    return mistray.ghosts(scene, field_deg=[0.0], rays=8000, seed=seed, **(spectrum | options))
 
 
 @pytest.fixture(scope="module")
 def report(scene):
     return analyse(scene)
+
+
+UNITS = {"power": "W", "rms_radius": "mm", "rms_irradiance": "W_mm2"}
 
 
 def ghost_of(report):
@@ -274,12 +270,11 @@ def test_each_line_is_the_trace_at_its_wavelength(scene, report):
     for row in spectrum.itertuples(index=False):
         alone = ghost_of(analyse(scene, seed=11, wavelength_nm=row.wavelength_nm, weights=None))
         share = LINES[row.wavelength_nm] / 4
-        for name, factor in (("power", share), ("rms_radius", 1.0), ("rms_irradiance", share)):
-            unit = {"power": "_W", "rms_radius": "_mm", "rms_irradiance": "_W_mm2"}[name]
+        for (name, unit), factor in zip(UNITS.items(), (share, 1.0, share), strict=True):
             names.append(f"{name} at {row.wavelength_nm:g} nm")
-            got.append(getattr(row, f"{name}{unit}"))
-            expected.append(factor * getattr(alone, f"{name}{unit}"))
-            errors = getattr(row, f"{name}_se{unit}"), factor * getattr(alone, f"{name}_se{unit}")
+            got.append(getattr(row, f"{name}_{unit}"))
+            expected.append(factor * getattr(alone, f"{name}_{unit}"))
+            errors = getattr(row, f"{name}_se_{unit}"), factor * getattr(alone, f"{name}_se_{unit}")
             error.append(math.hypot(*errors))
     assert_z("line of a polychromatic trace", got, expected, error, false_alarm=1e-6, names=names)
 
@@ -298,8 +293,8 @@ def test_the_ghost_of_all_lines_is_their_sum(report):
     assert direct.rms_radius_mm == pytest.approx(centred, rel=1e-3)
     # Energy closes at every wavelength, with the weights of the call or of the scene
     t = report[0.0]
-    source = replace(singlet().source, wavelength_nm=tuple(LINES), weights=tuple(LINES.values()))
-    own = mistray.ghosts(replace(singlet(), source=source).to_scene(), field_deg=[0.0], rays=100)
+    source = replace(SINGLET.source, wavelength_nm=tuple(LINES), weights=tuple(LINES.values()))
+    own = mistray.ghosts(replace(SINGLET, source=source).to_scene(), field_deg=[0.0], rays=100)
     for found in (report, own):
         assert [found.weight(wavelength) for wavelength in LINES] == pytest.approx([0.25, 0.5, 0.25])
     for wavelength in LINES:
@@ -312,12 +307,11 @@ def test_the_ghost_of_all_lines_is_their_sum(report):
 def test_standard_errors_of_the_ghost_of_all_lines(scene):
     """40 seeds: Σz² against the common mean is χ² with 39 degrees of freedom; within 9.5 … 100, false alarm 1e-6."""
     rows = [ghost_of(analyse(scene, seed=seed)) for seed in range(40)]
-    for name, unit in (("power", "W"), ("rms_radius", "mm"), ("rms_irradiance", "W_mm2")):
-        value, error = f"{name}_{unit}", f"{name}_se_{unit}"
-        values = np.array([getattr(row, value) for row in rows])
-        errors = np.array([getattr(row, error) for row in rows])
+    for name, unit in UNITS.items():
+        both = f"{name}_{unit}", f"{name}_se_{unit}"
+        values, errors = (np.array([getattr(row, column) for row in rows]) for column in both)
         chi2 = float(np.sum(((values - values.mean()) / errors) ** 2))
-        assert 9.5 < chi2 < 100, f"{value}: χ² = {chi2:.1f} for 39 degrees of freedom"
+        assert 9.5 < chi2 < 100, f"{name}: χ² = {chi2:.1f} for 39 degrees of freedom"
 
 
 @pytest.mark.parametrize("rank", fake.ORDERS)
@@ -340,8 +334,7 @@ def test_a_peak_is_the_brightest_pixel_of_all_wavelengths():
     for events, peak in ((fake.WIDE, 1e-3 / 0.5), (fake.ROUND, 2e-4 / 0.04), (fake.TWIN, 1e-4 / 0.01)):
         image, se = report[0.0].irradiance_of(table.path_ids[events])
         at = np.unravel_index(np.argmax(image), image.shape)
-        assert table.peak_W_mm2[events] == image[at]
-        assert table.peak_se_W_mm2[events] == se[at]
+        assert (table.peak_W_mm2[events], table.peak_se_W_mm2[events]) == (image[at], se[at])
         assert 1.0 < table.peak_W_mm2[events] / peak * math.pi < 1.4
     assert table.rank_peak[table.kind == "direct"].tolist() == [0]
     for call in (fake.ranked_report, lambda name: fake.ranked_report().top(0.0, rank=name)):
@@ -438,15 +431,13 @@ def test_cells_are_as_small_as_they_may_be():
     small, large = PathMap.of(spot((512, 512), slice(3, 5), slice(3, 5)), 96), PathMap.of(np.ones((512, 512)), 96)
     assert FieldMaps(large, large, {0: small}, small, {}).grid == 1
     assert FieldMaps(small, small, {0: small, 1: large}, small, {}).grid == 8
-    rng = np.random.default_rng(5)
-    power = spot((500, 300), slice(30, 480), slice(11, 270))
+    rng, power = np.random.default_rng(5), spot((500, 300), slice(30, 480), slice(11, 270))
     found = PathMap.of(power, 64)
     assert found.pixels == 8
     for _ in range(50):
         c0, c1 = sorted(rng.choice(np.arange(0, 305, 8), 2, replace=False))
         r0, r1 = sorted(rng.choice(np.arange(0, 505, 8), 2, replace=False))
-        expected = power[r0:r1, c0:c1].sum()
-        assert found.within((c0, c1), (r0, r1)) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+        assert found.within((c0, c1), (r0, r1)) == pytest.approx(power[r0:r1, c0:c1].sum(), rel=1e-12, abs=1e-15)
 
 
 EXTENT = (-2.0, 2.0, -1.5, 1.5)
@@ -459,8 +450,7 @@ def test_statistics_asymmetry_and_range_of_a_map():
     assert (got.minimum, got.maximum, got.mean) == (image.min(), image.max(), image.mean())
     assert got.rms == pytest.approx(np.linalg.norm(image) / np.sqrt(image.size), rel=1e-12)
     assert got.flux_W == pytest.approx(image.sum() * 0.05**2, rel=1e-12)
-    assert got.maximum_se == se.flat[np.argmax(image)]
-    assert got.incident_rays == 1234
+    assert (got.maximum_se, got.incident_rays) == (se.flat[np.argmax(image)], 1234)
     assert pixel_size(np.zeros((3, 8)), EXTENT) == (0.5, 1.0)
     measured, expected = mirror_asymmetry(image, se)
     # 2400 independent pairs: the mean of |N| has a relative error of 0.76/sqrt(2400) = 1.5 %
@@ -485,21 +475,8 @@ def test_statistics_asymmetry_and_range_of_a_map():
         log10_image(np.ones((2, 2)), 0.0)
 
 
-LAMBDA_MM, INDEX, RADIUS = 550e-6, 1.5, 10.0
+INDEX, RADIUS = 1.5, 10.0
 FOCUS = INDEX * RADIUS / (INDEX - 1)  # mm behind the vertex
-FIRST_ZERO = 3.8317059702075125  # of J1
-
-
-def ellipsoid(half: float, inner: float = 0.0) -> str:
-    """A surface into glass of conic constant -1/n² (Descartes), a detector at its focus, its middle covered or not."""
-    glass = interface_xml("air", f"{INDEX}", R=0.0, T=1.0)
-    shapes = [
-        shape_xml("asphere", "front", 0.0, glass, radius=RADIUS, conic=-1 / INDEX**2, semi_diameter=half),
-        shape_xml("asphere", "detector", FOCUS, interface_xml(f"{INDEX}", R=0.0), sensor=True, semi_diameter=1.0),
-    ]
-    if inner:
-        shapes.append(shape_xml("asphere", "spot", -1.0, interface_xml(R=0.0), semi_diameter=inner))
-    return scene_text(*shapes, radius=half)
 
 
 def aperture(half: float, inner: float) -> float:
@@ -513,15 +490,22 @@ def aperture(half: float, inner: float) -> float:
 
 @pytest.mark.parametrize(("half", "inner"), [(1.5, 0.0), (4.0, 2.0)])
 def test_airy_radius_of_a_perfect_focus_in_glass(load_scene, half: float, inner: float) -> None:
-    """The aperture is n sin u in the glass, within 4 errors (false alarm 6e-5 each) of below 3 %; P/(π r²) follows."""
-    report = mistray.ghosts(load_scene(ellipsoid(half, inner)), [0.0], rays=4000, seed=1)
+    """The aperture is n sin u in the glass, within 4 errors (false alarm 6e-5 each) of below 3 %; P/(π r²) follows.
+
+    A surface of conic constant -1/n² (Descartes), a detector at its focus, its middle covered or not.
+    """
+    glass, behind = interface_xml("air", f"{INDEX}", R=0.0, T=1.0), interface_xml(f"{INDEX}", R=0.0)
+    front = shape_xml("asphere", "front", 0.0, glass, radius=RADIUS, conic=-1 / INDEX**2, semi_diameter=half)
+    detector = shape_xml("asphere", "detector", FOCUS, behind, sensor=True, semi_diameter=1.0)
+    spot = [shape_xml("asphere", "spot", -1.0, semi_diameter=inner)] if inner else []
+    report = mistray.ghosts(load_scene(scene_text(front, detector, *spot, radius=half)), [0.0], rays=4000, seed=1)
     table = report.table(0.0)
     (cone,) = report[0.0].light_cones(list(table.path_id)).values()
     exact = aperture(half, inner)
     assert cone.aperture_se < 0.03 * exact
     assert abs(cone.aperture - exact) < 4 * cone.aperture_se
     row = report.with_airy(0.0, table).iloc[0]
-    expected = FIRST_ZERO / (2 * math.pi) * LAMBDA_MM / exact
+    expected = 3.8317059702075125 / (2 * math.pi) * 550e-6 / exact  # by the first zero of J1
     assert row.rms_radius_mm < 0.05 * expected  # the raw value stays
     assert row.airy_radius_mm == pytest.approx(expected, abs=4 * row.airy_radius_se_mm)
     assert row.airy_radius_se_mm / row.airy_radius_mm == pytest.approx(cone.aperture_se / cone.aperture, rel=1e-9)

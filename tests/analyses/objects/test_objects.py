@@ -23,6 +23,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.host.ray_sources import DiskSource, Surroundings
 
 RAYS = 100_000
+TUBE = 3.0, 1.0, 0.7  # mm: length, and radii of the tube and of the detector
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +44,8 @@ def row(rows, name, side=None):
 def test_unpolarised_light_is_noted(load_scene):
     """Through four plates: half of (1 - s)⁸ + (1 - p)⁸ of the light, where their means have (1 - (s + p)/2)⁸."""
     scene, angle = load_scene(plates_text(4)), 60.0
-    cosines = np.cos(np.radians(angle)), np.sqrt(1 - (np.sin(np.radians(angle)) / 1.5) ** 2)
-    r_s, r_p = (((cosines[0] - 1.5 * cosines[1]) / (cosines[0] + 1.5 * cosines[1])) ** 2,
-                ((1.5 * cosines[0] - cosines[1]) / (1.5 * cosines[0] + cosines[1])) ** 2)  # fmt: skip
+    c, t = np.cos(np.radians(angle)), np.sqrt(1 - (np.sin(np.radians(angle)) / 1.5) ** 2)
+    r_s, r_p = ((c - 1.5 * t) / (c + 1.5 * t)) ** 2, ((1.5 * c - t) / (1.5 * c + t)) ** 2
     truth = 100 * (((1 - r_s) ** 8 + (1 - r_p) ** 8) / 2 / (1 - (r_s + r_p) / 2) ** 8 - 1)
     (note,) = [text for text in objects(scene, field_deg=angle, rays=2000).notes if "Stokes" in text]
     assert f"direct light by +{truth:.3g}" in note
@@ -59,8 +59,8 @@ def plate_text(**coating):
 
 def test_a_tube_seen_from_its_end(load_scene):
     """The detector sees the opening with the view factor of coaxial discs, and the wall with the rest of its view."""
-    length, radius, detector_radius = 3.0, 1.0, 0.7
-    found = objects(load_scene(open_tube_text(length, radius, detector_radius)), rays=RAYS)
+    length, radius, detector_radius = TUBE
+    found = objects(load_scene(open_tube_text(*TUBE)), rays=RAYS)
     wall = row(found.critical, "wall")
     opening = disc_to_disc(detector_radius, radius, length)
     assert_z("wall", wall.power, 1 - opening, wall.power_se)
@@ -70,9 +70,8 @@ def test_a_tube_seen_from_its_end(load_scene):
     assert abs(wall.power - 1) > 10 * wall.power_se  # a detector that saw nothing but the wall would be noticed
     assert any("with no surface in between" in text for text in found.notes)
     low, high = shot.field_deg
-    steepest = np.degrees(np.arctan((radius + detector_radius) / length))
     assert low < 2
-    assert steepest - 2 < high < steepest + 1e-3
+    assert -2 < high - np.degrees(np.arctan((radius + detector_radius) / length)) < 1e-3
     # A disk of Mitsuba's own as the detector and another one as what it sees
     plate = placed_xml("disk", "plate", interface_xml(R=0.0), at=(0.0, 0.0, 0.0), scale=(1.2, 1.2, 1.0))
     detector = placed_xml("rectangle", "detector", at=(0.0, 0.0, 2.0), scale=(0.01, 0.01, 1.0), pixels=8)
@@ -90,9 +89,8 @@ def test_a_tube_seen_from_its_end(load_scene):
 @pytest.mark.parametrize("angle", [0.0, 10.0, -25.0, 60.0])
 def test_a_tube_lit_from_outside(load_scene, angle):
     """Flux on the detector is what two discs share, shifted by L tan θ; the rest of the opening's goes to the wall."""
-    length, radius, detector_radius = 3.0, 1.0, 0.7
-    scene = load_scene(open_tube_text(length, radius, detector_radius))
-    found = objects(scene, rays=RAYS, field_deg=[angle], azimuth_deg=30.0)
+    length, radius, detector_radius = TUBE
+    found = objects(load_scene(open_tube_text(*TUBE)), rays=RAYS, field_deg=[angle], azimuth_deg=30.0)
     theta = np.radians(angle)
     direct = np.cos(theta) * common_area(length * abs(np.tan(theta)), radius, detector_radius)
     (wall,) = found.illumination("wall", "front")
@@ -110,8 +108,7 @@ def test_a_tube_lit_from_outside(load_scene, angle):
 
 def test_openings_and_plates(load_scene):
     """Averaged over the solid angle of a cone, an area takes A (1 + cos h)/2; a disc source gives the same."""
-    scene = load_scene(open_tube_text(1e-3, 1.0, 0.999))
-    half = 35.0
+    scene, half = load_scene(open_tube_text(1e-3, 1.0, 0.999)), 35.0
     source = {"source": DiskSource((0.0, 0.0, -1e-3), 3.0, half)}
     both = (objects(scene, rays=RAYS, **given) for given in ({"half_angle_deg": half}, source))
     cone, near = (found.illumination("detector", "front")[0] for found in both)
@@ -132,10 +129,10 @@ def test_openings_and_plates(load_scene):
     sine, cosine = np.sin(np.radians(20.0)), np.cos(np.radians(20.0))
     disc = DiskSource((0.0, 0.0, -20.0), 10.0, 1e-3, axis=(0.0, sine, cosine))
     found = objects(scene, rays=20_000, view_half_angle_deg=20.0, source=disc)
-    front, rear, detector = (row(found.optics, name) for name in ("p0_front", "p0_rear", "detector"))
+    front, *behind = (row(found.optics, name) for name in ("p0_front", "p0_rear", "detector"))
     slanted = tau ** (1 / np.sqrt(1 - (sine / 1.5) ** 2))
-    assert rear.illuminated_power == pytest.approx(slanted * rear.illuminated_rays / 20_000, rel=1e-4)
-    assert detector.illuminated_power == pytest.approx(slanted * detector.illuminated_rays / 20_000, rel=1e-4)
+    for entry in behind:
+        assert entry.illuminated_power == pytest.approx(slanted * entry.illuminated_rays / 20_000, rel=1e-4)
     assert slanted * front.critical_rays / 20_000 < front.critical_power < tau * front.critical_rays / 20_000
 
 
@@ -150,22 +147,18 @@ def test_openings_and_plates(load_scene):
 def test_lit_and_seen_in_different_places(load_scene, vanes, length, detector, half_deg, common, apart):
     found = objects(load_scene(vane_text(vanes, length, 5.0, detector)), rays=RAYS, half_angle_deg=half_deg)
     if common is None:
-        assert row(found.illuminated, "vane_1").side == "front"
-        assert row(found.critical, "vane_1").side == "back"
+        assert [row(rows, "vane_1").side for rows in (found.illuminated, found.critical)] == ["front", "back"]
         assert "vane_1" not in [entry.id for entry in (*found.common, *found.apart)]
     else:
-        assert [entry.id for entry in found.common] == common
-        assert [entry.id for entry in found.apart] == apart
+        assert [[entry.id for entry in rows] for rows in (found.common, found.apart)] == [common, apart]
         assert all(entry.side == "front" for entry in found.common)
 
 
 def test_common_objects_are_in_both_lists_and_rows_agree_with_the_kernel(phone):
-    critical = {(entry.id, entry.side) for entry in phone.critical}
-    illuminated = {(entry.id, entry.side) for entry in phone.illuminated}
-    common = {(entry.id, entry.side) for entry in (*phone.common, *phone.apart)}
+    lists = phone.critical, phone.illuminated, (*phone.common, *phone.apart)
+    critical, illuminated, common = ({(entry.id, entry.side) for entry in rows} for rows in lists)
     assert common == critical & illuminated
-    optics = {entry.id for entry in phone.optics}
-    assert not optics & {name for name, _ in critical | illuminated}
+    assert not {entry.id for entry in phone.optics} & {name for name, _ in critical | illuminated}
     assert len(phone.optics) == 15
     assert all(entry.optic for entry in phone.optics)
     assert not any(entry.optic for entry in (*phone.critical, *phone.illuminated, *phone.common))
@@ -204,22 +197,20 @@ def test_before_and_after_the_stop(phone):
     assert found.stop == "L3"
     named = {entry.id: entry.stop for entry in found.critical}
     assert (named["barrel_3_cone"], named["barrel_4_cone"], named["L3_edge"]) == ("before", "after", "stop")
-    shots = {shot.beside: shot for shot in phone.straight_shots}
-    assert shots["L3_bevel_2",].missed == ("L3_rear",)
-    low, high = shots["L3_bevel_2",].field_deg
-    assert 15 < low < high < 27
+    (shot,) = (shot for shot in phone.straight_shots if shot.beside == ("L3_bevel_2",))
+    assert shot.missed == ("L3_rear",)
+    assert 15 < shot.field_deg[0] < shot.field_deg[1] < 27
     assert any("past L3_rear through L3_bevel_2" in text for text in phone.notes)
     found = objects(mistray.load("newtonian"), rays=RAYS)
-    assert row(found.critical, "eyepiece_tube", "front").between == "diagonal – image"
-    assert row(found.critical, "eyepiece_tube", "front").stop == "after"
+    tube = row(found.critical, "eyepiece_tube", "front")
+    assert (tube.between, tube.stop) == ("diagonal – image", "after")
     assert row(found.illuminated, "vane_1", "front").between == "before primary"
     assert [entry.id for entry in found.optics] == ["primary", "diagonal", "image"]
 
 
 def test_ray_controls(load_scene):
     scene = load_scene(plate_text(R=0.3, T=0.5))
-    disc = DiskSource((0.0, 0.0, -1.0), 20.0, 1.0)
-    hits = {}
+    disc, hits = DiskSource((0.0, 0.0, -1.0), 20.0, 1.0), {}
     for control in ("halt_all", "reflect_specular", "transmit_specular", "allow_all"):
         found = objects(scene, rays=RAYS, ray_control=control, source=disc, view_half_angle_deg=10.0)
         hits[control] = {entry.id: entry for entry in found.optics}
@@ -278,8 +269,7 @@ def test_product_of_coaxial_discs_and_the_bsdf_in_any_orientation(load_scene):
     # Of a tilted mirror with Harvey-Shack scatter: b0 (1 + (r/l)²)^(s/2) of |β - β0| in its own plane
     b0, length, slope = 2.0, 0.02, -1.5
     lobe = scattering_xml([bsdf_xml("harvey_shack", b0=b0, l=length, s=slope)], R=0.8, T=0.0, mirror=True)
-    mirror = placed_xml("asphere", "mirror", lobe, facing=(0.3, 0.5, 1.0), semi_diameter=5.0)
-    table = table_of(load_scene, mirror)
+    table = table_of(load_scene, placed_xml("asphere", "mirror", lobe, facing=(0.3, 0.5, 1.0), semi_diameter=5.0))
     number = table.ids.index("mirror")
     directions = np.array([[0.3, 0.5, 1.0], [0.1, -0.2, 1.0], *np.random.default_rng(1).normal(size=(50, 3))])
     normal, d, *leaving = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -343,29 +333,28 @@ def test_gcf_of_one_side_is_at_most_one(total):
     assert np.all(estimates.gcf <= 1 + z_limit() * relative)
 
 
-AREAS = [
-    ("frustum", {"r0": 1.0, "z0": 0.0, "r1": 3.0, "z1": 2.0}, np.pi * 4 * np.sqrt(8)),
-    ("frustum", {"r0": 2.0, "z0": 1.0, "r1": 2.0, "z1": 4.0}, 12 * np.pi),
-    ("frustum", {"r0": 1.0, "z0": 0.0, "r1": 2.0, "z1": 0.0}, 3 * np.pi),
-    ("asphere", {"radius": 4.0, "semi_diameter": 3.0}, 2 * np.pi * 16 * (1 - np.sqrt(7) / 4)),
-    ("asphere", {"half_width": 2.0, "half_height": 1.0}, 8.0),
-]
-
-
 def test_rings_of_a_hemisphere(load_scene):
     """Rings of a sphere have 2π R times their height along the axis (Archimedes), the outermost too."""
-    dome = placed_xml("asphere", "dome", radius=5.0, semi_diameter=5.0)
-    table = table_of(load_scene, dome)
+    table = table_of(load_scene, placed_xml("asphere", "dome", radius=5.0, semi_diameter=5.0))
     piece = table.pieces[table.ids.index("dome")]
     heights = 5.0 * np.sqrt(1 - np.arange(41) / 40)  # of the rims of rings of equal area across the axis
     np.testing.assert_allclose(piece.areas(40, 2).sum(axis=1), -2 * np.pi * 5.0 * np.diff(heights), rtol=1e-6)
 
 
-@pytest.mark.parametrize(("kind", "numbers", "area"), AREAS)
+@pytest.mark.parametrize(
+    ("kind", "numbers", "area"),
+    [
+        ("frustum", {"r0": 1.0, "z0": 0.0, "r1": 3.0, "z1": 2.0}, np.pi * 4 * np.sqrt(8)),
+        ("frustum", {"r0": 2.0, "z0": 1.0, "r1": 2.0, "z1": 4.0}, 12 * np.pi),
+        ("frustum", {"r0": 1.0, "z0": 0.0, "r1": 2.0, "z1": 0.0}, 3 * np.pi),
+        ("asphere", {"radius": 4.0, "semi_diameter": 3.0}, 2 * np.pi * 16 * (1 - np.sqrt(7) / 4)),
+        ("asphere", {"half_width": 2.0, "half_height": 1.0}, 8.0),
+    ],
+)
 def test_patches_have_known_areas(load_scene, kind, numbers, area):
     """The areas add up to that of the surface, and uniform points fall into the patches in proportion to them."""
-    shape = placed_xml(kind, "object", at=(1.0, 2.0, 3.0), facing=(0.2, 0.1, 1.0), **numbers)
-    table = table_of(load_scene, shape)
+    place = {"at": (1.0, 2.0, 3.0), "facing": (0.2, 0.1, 1.0)}
+    table = table_of(load_scene, placed_xml(kind, "object", **place, **numbers))
     number = table.ids.index("object")
     patches = Patches.of(table, number, 200)
     assert patches.count == 25
@@ -389,14 +378,13 @@ def test_directions_of_the_sources(load_scene):
     away = start.o - [1.0, 2.0, 3.0]
     assert np.abs(away @ axis).max() < 1e-12
     r2 = np.sum(away**2, axis=1)
-    assert r2.min() >= 1
-    assert r2.max() <= 4
+    assert 1 <= r2.min() <= r2.max() <= 4
     assert_z("r²", r2.mean(), 2.5, r2.std() / np.sqrt(n))
     sine2 = 1 - (start.d @ axis) ** 2
     low, high = np.sin(np.radians([10.0, half])) ** 2
     assert sine2.min() >= low - 1e-12
     assert_z("sin²", sine2.mean(), (low + high) / 2, sine2.std() / np.sqrt(n))
-    scene = load_scene(open_tube_text(3.0, 1.0, 0.7))
+    scene = load_scene(open_tube_text(*TUBE))
     table = SurfaceTable(scene, 550.0)
     cone = Surroundings.cone(table, field_axes(scene), half).sample(n, rng)
     cosine = cone.d[:, 2]

@@ -1,5 +1,6 @@
 """The merit, its worst field and wavelength, and derivatives by reflectances, against formulas and differences."""
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -142,8 +143,7 @@ class TestLayers:
 
 def merit_of(scene: Path, study: dict[str, Any]) -> Merit:
     read = read_study(study)
-    placed = place(load(scene), read)
-    with open_scene(scene, placed) as opened:
+    with open_scene(scene, place(load(scene), read)) as opened:
         variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
         return Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
 
@@ -171,8 +171,8 @@ class TestMerit:
                 {"kind": "transmission", "goal": "at_least", "limit": 0.81, "tolerance": 0.1},
             ],
             "variable": [
-                {"name": key, "parameters": f"p0_*.bsdf.{key}", "low": low, "high": high}
-                for key, low, high in (("R", 0.01, 0.1), ("T", 0.5, 0.9))
+                {"name": "R", "parameters": "p0_*.bsdf.R", "low": 0.01, "high": 0.1},
+                {"name": "T", "parameters": "p0_*.bsdf.T", "low": 0.5, "high": 0.9},
             ],
         }
         merit = merit_of(plate, study)
@@ -222,30 +222,25 @@ class TestMerit:
                 by_difference = (above["terms"][name] - below["terms"][name]) / 4e-3
                 assert slope[k] == pytest.approx(by_difference, rel=1e-3, abs=1e-9), (name, k)
 
-    @pytest.mark.parametrize(
-        ("change", "message"),
-        [
+    def test_no_merit(self, plate: Path) -> None:
+        def no_number(scene: Any, **traced: Any) -> Any:
+            light = {key: traced.pop(key) for key in ("field_deg", "wavelength_nm")}
+            return Metric(scene, lambda observations: np.nan * observations[0].power("all"), settings=traced, **light)
+
+        def evaluated(change: dict[str, Any]) -> None:
+            variable = {"parameters": "p0_*.bsdf.R", "low": 0.01, "high": 0.1}
+            term = {"kind": "path_power", "goal": "minimise"} | change
+            at_start(merit_of(plate, {"trace": LIGHT, "term": [term], "variable": [variable]}))
+
+        nothing = r"the merit is 0, nothing is to be minimised and all limits hold; add a term with goal = \"minimise\""
+        each_refused(
             ({"selection": "structure"}, r"power': its value is 0 at the start \(p0_front.bsdf.R = 0.05\).* more rays"),
             ({"selection": "structure", "goal": "keep"}, "value at the start is 0, which cannot"),
             ({"goal": "at_most", "limit": 0}, "its limit is 0; the tolerance is relative to it"),
-            (
-                {"kind": "transmission", "goal": "at_most", "limit": 0.9},
-                r"the merit is 0, nothing is to be minimised and all limits hold; add a term with goal = \"minimise\"",
-            ),
-            ({"kind": lambda scene, **traced: no_number(scene, **traced)}, "term '<lambda>': its value is nan at p0_"),
-        ],
-    )
-    def test_no_merit(self, plate: Path, change: dict[str, Any], message: str) -> None:
-        variable = {"parameters": "p0_*.bsdf.R", "low": 0.01, "high": 0.1}
-        term = {"kind": "path_power", "goal": "minimise"} | change
-        merit = merit_of(plate, {"trace": LIGHT, "term": [term], "variable": [variable]})
-        with refused(message):
-            at_start(merit)
-
-
-def no_number(scene: Any, **traced: Any) -> Any:
-    light = {key: traced.pop(key) for key in ("field_deg", "wavelength_nm")}
-    return Metric(scene, lambda observations: np.nan * observations[0].power("all"), settings=traced, **light)
+            ({"kind": "transmission", "goal": "at_most", "limit": 0.9}, nothing),
+            ({"kind": no_number}, "term 'no_number': its value is nan at p0_"),
+            by=evaluated,
+        )
 
 
 FIELDS, LINES = (0.0, 12.0), (450.0, 550.0, 650.0)
@@ -269,19 +264,14 @@ def term(worst: str, goal: str = "minimise", **more: Any) -> Term:
 def test_value(scene: Any, goal: str) -> None:
     """The p-norm, by NumPy, of what each field and wavelength gives alone."""
     limit = {"limit": 0.0} if goal == "at_least" else {}
-    alone = {
-        (field, line): traced_metric(
-            term("none"), scene, 3, field_deg=(field,), wavelength_nm=line, weights=None, rays=300 + 300 * (line == 550)
-        ).value()
-        for field in FIELDS
-        for line in LINES
-    }
+    alone = []
+    for field, line in itertools.product(FIELDS, LINES):
+        light = {"field_deg": (field,), "wavelength_nm": line, "weights": None, "rays": 300 + 300 * (line == 550)}
+        alone.append(traced_metric(term("none"), scene, 3, **light).value())
     sign = 1 if goal == "minimise" else -1
-    values = np.array(list(alone.values())) ** sign
-    expected = np.sum(values**NORM) ** (sign / NORM)
     found = traced_metric(term("both", goal, **limit), scene, 3).value()
-    assert found == pytest.approx(expected, rel=1e-6)
-    extreme = max(alone.values()) if goal == "minimise" else min(alone.values())
+    assert found == pytest.approx(np.sum(np.array(alone) ** (sign * NORM)) ** (sign / NORM), rel=1e-6)
+    extreme = max(alone) if goal == "minimise" else min(alone)
     assert extreme * 6 ** min(sign / NORM, 0) <= found <= extreme * 6 ** max(sign / NORM, 0)
 
 
@@ -296,8 +286,7 @@ def test_light_from_python(field_deg: Any) -> None:
 
 def test_gradient(scene: Any) -> None:
     """Against four-point central differences with the same rays."""
-    params = mi.traverse(scene)
-    key = "bbar3_N-LAK9.thickness_nm"
+    params, key = mi.traverse(scene), "bbar3_N-LAK9.thickness_nm"
     metric = traced_metric(term("both"), scene, 5)
     found = gradient(metric, params, [key]).gradient[key]
     before = np.array(params[key], dtype=np.float64)
@@ -322,11 +311,9 @@ class TestWorse:
     def test_the_wavelength_that_got_worse(self) -> None:
         rng = np.random.default_rng(1)
         before = {cell: rng.normal(1, 0.03, 8) for cell in self.cells}
-        after = {cell: 0.3 * values for cell, values in before.items()}
-        after[ComparisonCell("ghosts", None, 450.0)] = 1.7 * before[ComparisonCell("ghosts", None, 450.0)]
-        after[ComparisonCell("ghosts", 12.0)] = 1.2 * before[ComparisonCell("ghosts", 12.0)]
-        comparison = compare(levels(before), levels(after))
-        found = worse(comparison, [term("none")])
+        factors = {ComparisonCell("ghosts", None, 450.0): 1.7, ComparisonCell("ghosts", 12.0): 1.2}
+        after = {cell: factors.get(cell, 0.3) * values for cell, values in before.items()}
+        found = worse(compare(levels(before), levels(after)), [term("none")])
         assert [(row.field_deg, row.wavelength_nm) for row in found] == [(None, 450.0), (12.0, None)]
         assert found[0].ratio == pytest.approx(1 / 1.7)
 
@@ -339,8 +326,7 @@ class TestWorse:
 
     def test_noise_is_no_news(self) -> None:
         """Nothing has changed but the noise: 1 % of the comparisons warn. More than 15 of 500: with p = 7e-5."""
-        rng = np.random.default_rng(3)
-        alarms = 0
+        rng, alarms = np.random.default_rng(3), 0
         for _ in range(500):
             before, after = ({cell: rng.normal(1, 0.1, 8) for cell in self.cells} for _ in range(2))
             alarms += bool(worse(compare(levels(before), levels(after)), [term("none")]))
@@ -414,18 +400,14 @@ def by_thickness(cost: Any) -> np.ndarray:
 
 
 def test_chain_rule_gives_the_gradient_by_thicknesses(metric, weights):
-    params = mi.traverse(metric.scene)
-    expected = mistray.gradient(metric, params, ["crown.thickness_nm", "flint.thickness_nm"])
+    expected = mistray.gradient(metric, mi.traverse(metric.scene), ["crown.thickness_nm", "flint.thickness_nm"])
     assert weights.value == pytest.approx(expected.value, rel=1e-9)
-    for name, surfaces in GROUPS.items():
+    for name, other in (("crown", "flint"), ("flint", "crown")):
         slopes = expected.gradient[f"{name}.thickness_nm"]
-        found = by_thickness(weights.cost(surfaces, STACK))
-        assert np.max(np.abs(found - slopes)) < BY_TABLE * np.max(np.abs(slopes)), name
-        other = by_thickness(weights.cost(GROUPS["flint" if name == "crown" else "crown"], STACK))
-        assert np.max(np.abs(other - slopes)) > BY_TABLE * np.max(np.abs(slopes)), "the other glass is wrong"
-
-
-def test_surfaces_add_up(weights):
+        own, wrong = (by_thickness(weights.cost(GROUPS[glass], STACK)) for glass in (name, other))
+        allowed = BY_TABLE * np.max(np.abs(slopes))
+        assert np.max(np.abs(own - slopes)) < allowed < np.max(np.abs(wrong - slopes)), name
+    # Surfaces add up
     cost = weights.cost(GROUPS["crown"], STACK)(THICKNESS_NM[None])
     single = [weights.cost([surface], STACK)(THICKNESS_NM[None]) for surface in GROUPS["crown"]]
     assert sum(single) == pytest.approx(cost, rel=1e-12)
@@ -444,8 +426,7 @@ def test_the_deepest_minimum_is_found():
 
     found = best_thicknesses(cost, [5, 5], [260, 260], [np.array([40.0, 200.0]), np.array([101.0, 99.0])])
     assert found == pytest.approx([100, 100], abs=0.01)
-    bound = best_thicknesses(cost, [110, 5], [260, 260], [])
-    assert bound[0] >= 110
+    assert best_thicknesses(cost, [110, 5], [260, 260], [])[0] >= 110
     # A layer that is not there yet: the slope at 0 leads away from it
     (grown,) = thickness_minima(lambda d: np.exp(-d[:, 0] / 50), [(0, 150)], [np.zeros(1)], points=1, followed=0)
     assert grown == pytest.approx([150])

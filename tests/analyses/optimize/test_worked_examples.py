@@ -13,10 +13,9 @@ import mistray
 from mistray.analyses.optimize.reflectance_weights import reflectance_weights
 from mistray.analyses.optimize.study.variables import find_variables
 from mistray.coatings import preset
-from mistray.optimize import DesignStudy, optimize, parameters, read_study
+from mistray.optimize import optimize, parameters, read_study
 from mistray.scene.recoat import SharedCoating
 
-RAYS = 320
 # With 31 degrees of freedom a false pass of a gain that is not there has a probability of 4.5e-5; the seeds are fixed
 ERRORS = 4.5
 
@@ -30,8 +29,7 @@ def reduced() -> Any:
     return module
 
 
-@pytest.fixture(scope="module")
-def found(script: Any) -> Any:
+def test_better_than_the_preset_with_as_many_layers(script):
     """The three-layer preset on all surfaces, the same made a quarter too thick, and the design for each glass."""
     given = preset("bbar3")
     thick = tuple(replace(layer, thickness_nm=1.25 * layer.thickness_nm) for layer in given.layers)
@@ -39,14 +37,8 @@ def found(script: Any) -> Any:
     wrong = [SharedCoating("AR", replace(given, layers=thick), script.SURFACES)]
     known = reflectance_weights(script.ghost_metric(start, script.SEARCH_NM, script.SEARCH_RAYS))
     designed = script.search(script.GLASSES, script.STARTS[3], known)
-    return [
-        script.measured("bbar3", 3, start, RAYS),
-        script.measured("glass", 3, designed, RAYS),
-        script.measured("surface", 3, wrong, RAYS),  # stands for a design that is none
-    ]
-
-
-def test_better_than_the_preset_with_as_many_layers(script, found):
+    coatings = {"bbar3": start, "glass": designed, "surface": wrong}  # the last one stands for a design that is none
+    found = [script.measured(name, 3, coating, 320) for name, coating in coatings.items()]
     textbook, designed, wrong = found
     assert [len(coating.stack.layers) for coating in designed.coatings] == [3] * len(script.GLASSES)
     thickness = [layer.thickness_nm for coating in designed.coatings for layer in coating.stack.layers]
@@ -63,8 +55,7 @@ def test_better_than_the_preset_with_as_many_layers(script, found):
     assert rows.loc["glass", "preset"] == "bbar3"
     assert np.isnan(rows.loc["bbar3", "gain"])
     assert len(script.curve_figure(found).axes) == 1
-    curves = script.reflectance_figure(found[:2]).axes
-    assert [len(axes.lines) for axes in curves] == [2] * len(script.GLASSES)
+    assert [len(axes.lines) for axes in script.reflectance_figure(found[:2]).axes] == [2] * len(script.GLASSES)
 
 
 def test_errors_of_gains(script):
@@ -78,7 +69,6 @@ def test_errors_of_gains(script):
     assert gain_se == pytest.approx(16 * 0.01 / common.sum(), rel=0.2)
 
 
-STUDY = Path(__file__).parents[3] / "examples" / "phone_barrel.toml"
 # Ends of walls that meet at the start: the cone behind the stop, the wall of the stop and what stands around it
 JOINTS = (
     ("stop_rear.r1", "barrel_1_cone.r0"),
@@ -93,15 +83,15 @@ START_MM = {"cone": 1.2667, "stop wall": -0.075}  # of the scene
 def test_walls_stay_joined(change_mm: float) -> None:
     scene = mistray.load("phone_camera_scatter")
     known = parameters(scene)
-    variables = find_variables(read_study(STUDY), mi.traverse(scene), known, {})
+    variables = find_variables(read_study(EXAMPLES / "phone_barrel.toml"), mi.traverse(scene), known, {})
     assert dict(zip(variables.names, variables.start, strict=True)) == pytest.approx(START_MM, abs=1e-6)
     moved = variables.parameters(np.asarray(variables.start) + change_mm)
     values = {key: parameter.value for key, parameter in known.items()} | moved
     for one, other in JOINTS:
         assert values[one] == pytest.approx(values[other], abs=1e-5), (one, other)
-    assert values["barrel_1_cone.r0"] == pytest.approx(START_MM["cone"] + change_mm, abs=1e-5)
     front = values["stop_wall.z0"]
-    assert front == pytest.approx(START_MM["stop wall"] + change_mm, abs=1e-5)
+    for value, name in ((values["barrel_1_cone.r0"], "cone"), (front, "stop wall")):
+        assert value == pytest.approx(START_MM[name] + change_mm, abs=1e-5)
     for name in ("stop_front", "barrel_0_plane", "barrel_1_plane"):
         at = values[f"{name}.z"] - known[f"{name}.z"].value + START_MM["stop wall"]
         assert at == pytest.approx(front, abs=1e-5), name
@@ -109,24 +99,19 @@ def test_walls_stay_joined(change_mm: float) -> None:
 
 
 VANE_RAYS = {"stray 20-80": 10_000, "in field": 8_000}
-STEPS, STEP_SIZE = 5, 0.09
-STOP_LOW_MM = 9.95  # a stop that has closed further would not be open again after so few steps
 # With 7 degrees of freedom a ratio that is not there passes with a probability of 1.4e-3; the seeds are fixed
 SIGMAS = 4.5
 
 
-def fewer_rays() -> DesignStudy:
-    """The study of the example with few rays and steps."""
-    full = read_study(EXAMPLES / "baffle_vanes.toml")
-    terms = [replace(term, traced={**term.traced, "rays": VANE_RAYS[term.name]}) for term in full.terms]
-    vanes, stop = full.variables
-    optimizer = replace(full.optimizer, steps=STEPS, step_size=STEP_SIZE)
-    return replace(full, terms=tuple(terms), variables=(vanes, replace(stop, low=STOP_LOW_MM)), optimizer=optimizer)
-
-
 def test_stray_light_falls_and_light_of_the_field_is_kept(tmp_path: Path) -> None:
     """On other seeds; before and after trace the same rays, so that the ratio is known well. The first vanes grow."""
-    result = optimize(script("baffle_vanes").short_vanes(tmp_path), fewer_rays(), next_order=False)
+    full = read_study(EXAMPLES / "baffle_vanes.toml")
+    terms = tuple(replace(term, traced={**term.traced, "rays": VANE_RAYS[term.name]}) for term in full.terms)
+    vanes, stop = full.variables
+    stop = replace(stop, low=9.95)  # one that has closed further would not be open again after so few steps
+    fewer = replace(full.optimizer, steps=5, step_size=0.09)
+    study = replace(full, terms=terms, variables=(vanes, stop), optimizer=fewer)
+    result = optimize(script("baffle_vanes").short_vanes(tmp_path), study, next_order=False)
     stray = result.comparison.of("stray 20-80")
     assert stray.ratio - SIGMAS * stray.ratio_se > 10, stray
     rows = [row for row in result.comparison.marginals() if row.term == "in field"]

@@ -32,28 +32,16 @@ from mistray.settings import Settings
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable
 
-SCENES = Path(__file__).parents[3] / "scenes"
 ANGLES = (0.0, 10.0, 20.0, 40.0, 60.0, 80.0)
 INDEX = 1.5
 
 
-def bare_text(bsdf: str | None = None) -> str:
-    return scene_text(shape_xml("asphere", "detector", 5.0, bsdf, sensor=True, half_width=2.0, half_height=1.0))
+BARE = scene_text(shape_xml("asphere", "detector", 5.0, sensor=True, half_width=2.0, half_height=1.0))
 
 
 @pytest.fixture(scope="module")
 def bare(load_scene):
-    return load_scene(bare_text())
-
-
-def window_text() -> str:
-    """A window of glass, so wide that all light within 65° of the axis must pass it to get to the detector."""
-    faces = [
-        shape_xml("asphere", "front", 0.0, interface_xml("air", str(INDEX)), semi_diameter=6.0),
-        shape_xml("asphere", "rear", 1.0, interface_xml(str(INDEX), "air"), semi_diameter=6.0),
-        shape_xml("frustum", "edge", r0=6.0, z0=0.0, r1=6.0, z1=1.0),
-    ]
-    return scene_text(*faces, shape_xml("asphere", "detector", 2.0, sensor=True, half_width=0.7, half_height=0.7))
+    return load_scene(BARE)
 
 
 def cell_mean(grid: DirectionGrid, function) -> np.ndarray:
@@ -65,11 +53,9 @@ def glass_reflectance(theta: np.ndarray) -> np.ndarray:
     return fresnel_unpolarised(1.0, INDEX, np.cos(theta), np.sqrt(1 - (np.sin(theta) / INDEX) ** 2))
 
 
-def forward_pst(
-    scene: Any, grid: DirectionGrid, *, entrance: Any = None, settings: Any = None, progress: Any = None, **request: Any
-) -> Pst:
-    asked = PstRequest.of(method="forward", **request)
-    return forward.forward_pst(scene, grid, asked, entrance=entrance, settings=settings, progress=progress)
+def forward_pst(scene: Any, grid: DirectionGrid, **asked: Any) -> Pst:
+    own = {key: asked.pop(key, None) for key in ("entrance", "settings", "progress")}
+    return forward.forward_pst(scene, grid, PstRequest.of(method="forward", **asked), **own)
 
 
 class TestClosedForms:
@@ -86,7 +72,7 @@ class TestClosedForms:
         assert np.all(projected.standard_error < 0.01)
         # The mean over a flat detector is its value, and what it absorbs does not matter: R = 0, and R = 0.7
         grid = DirectionGrid.of([0.0, 40.0])
-        scenes = bare, load_scene(bare_text(interface_xml(R=0.7)))
+        scenes = bare, load_scene(BARE.replace(interface_xml(R=0.0), interface_xml(R=0.7)))
         found, grey = (forward_pst(scene, grid, rays=100_000, map_pixels=6) for scene in scenes)
         assert found.maps.shape == (2, 2, 1, 6, 6)  # a square film
         np.testing.assert_allclose(found.maps[0].mean(axis=(1, 2, 3)), found.value, rtol=1e-6)
@@ -104,10 +90,9 @@ class TestClosedForms:
         found = forward_pst(scene, grid, rays=40_000)
         assert_z("PST_normal", found.value, grid.mean_cosine, found.standard_error)
         # A detector that faces +y sees light by sin θ times the cosine of its azimuth, from either side
-        aside = placed_xml("asphere", "detector", facing=(0.0, 1.0, 0.0), pixels=4, semi_diameter=1.0)
-        scene = load_scene(scatter_scene(aside))
+        scene = scatter_scene(placed_xml("asphere", "detector", facing=(0.0, 1.0, 0.0), pixels=4, semi_diameter=1.0))
         grid = DirectionGrid.of([30.0, 60.0], azimuths_deg=[0.0, 60.0, 90.0, 180.0], azimuth_cell_deg=20.0)
-        found = forward_pst(scene, grid, rays=40_000)
+        found = forward_pst(load_scene(scene), grid, rays=40_000)
         half = np.radians(10.0)
         cosines = np.abs(np.cos(np.radians([0.0, 60.0, 180.0]))) * np.sin(half) / half
         expected = cell_mean(grid, np.sin)[:, None] * np.append(cosines, 2 * np.sin(half / 2) ** 2 / half)
@@ -116,10 +101,18 @@ class TestClosedForms:
 
     @pytest.mark.parametrize("entrance", [None, Entrance((0.0, 0.0, 2.0), 1.8)])
     def test_window(self, load_scene, entrance: Entrance | None) -> None:
-        """Direct light T² cos θ, ghosts of two reflections T² R² cos θ; a smaller beam that holds it all is as good."""
-        grid = DirectionGrid.of([0.0, 20.0, 40.0, 60.0])
-        rays = 300_000 if entrance is None else 60_000
-        found = forward_pst(load_scene(window_text()), grid, rays=rays, entrance=entrance)
+        """Direct light T² cos θ, ghosts of two reflections T² R² cos θ; a smaller beam that holds it all is as good.
+
+        The window of glass is so wide that all light within 65° of the axis must pass it to get to the detector.
+        """
+        scene = scene_text(
+            shape_xml("asphere", "front", 0.0, interface_xml("air", str(INDEX)), semi_diameter=6.0),
+            shape_xml("asphere", "rear", 1.0, interface_xml(str(INDEX), "air"), semi_diameter=6.0),
+            shape_xml("frustum", "edge", r0=6.0, z0=0.0, r1=6.0, z1=1.0),
+            shape_xml("asphere", "detector", 2.0, sensor=True, half_width=0.7, half_height=0.7),
+        )
+        grid, rays = DirectionGrid.of([0.0, 20.0, 40.0, 60.0]), 300_000 if entrance is None else 60_000
+        found = forward_pst(load_scene(scene), grid, rays=rays, entrance=entrance)
         direct = cell_mean(grid, lambda t: (1 - glass_reflectance(t)) ** 2 * np.cos(t))
         ghost = cell_mean(grid, lambda t: ((1 - glass_reflectance(t)) * glass_reflectance(t)) ** 2 * np.cos(t))
         for name, expected in (("direct", direct), ("ghost", ghost)):
@@ -141,8 +134,7 @@ class TestClosedForms:
         light = {"wavelength_nm": [500.0, 600.0, 550.0], "weights": [3.0, 1.0, 0.0]}
         found = forward_pst(scene, grid, **light, rays=100_000)
         assert_z("PST_normal", found.value, 0.65 * grid.mean_cosine, found.standard_error)
-        joined = mistray.pst(scene, grid.field_deg, **light, rays=2000).facts
-        for facts in (found.facts, joined):
+        for facts in (found.facts, mistray.pst(scene, grid.field_deg, **light, rays=2000).facts):
             assert (facts["wavelength_nm"], facts["weights"]) == ([500.0, 600.0], [0.75, 0.25])
         assert found.weight.sum(axis=-1) == pytest.approx(1.0)
         # A Lambertian sheet over a disc: once scattered light ρ cos θ F, aimed and random rays in one path
@@ -153,8 +145,7 @@ class TestClosedForms:
         grid = DirectionGrid.of([0.0, 30.0, 70.0])
         found = forward_pst(scene, grid, rays=60_000)
         value, se = found.curve("single_scatter")
-        expected = rho * grid.mean_cosine * disc_to_disc(b, a, gap)
-        assert_z("single scatter", value, expected, se)
+        assert_z("single scatter", value, rho * grid.mean_cosine * disc_to_disc(b, a, gap), se)
         rows = found.paths(30.0)
         assert list(rows.events[rows.scatters == 1]) == ["sheet:t detector:A"]
         assert 0 < found.largest_share.max() < 0.01
@@ -171,13 +162,11 @@ class TestBudget:
         assert np.all(rays[:2] > FIRST_RAYS)
         assert np.all(np.log2(rays / FIRST_RAYS) % 1 == 0)
         assert rays[2] == FIRST_RAYS
-        assert found.facts["rays"] == rays.sum()
-        assert found.facts["unfinished"] == []
         done = [step.rays_done for step in seen]
         assert done == sorted(done)
-        assert done[-1] == rays.sum()
-        assert seen[-1].seconds_left == 0.0
-        assert seen[-1].worst_error == pytest.approx(max(error[:2]))
+        assert done[-1] == found.facts["rays"] == rays.sum()
+        assert found.facts["unfinished"] == []
+        assert (seen[-1].seconds_left, seen[-1].worst_error) == (0.0, pytest.approx(max(error[:2])))
         assert all(0 <= step.seconds_left < 60 for step in seen)
         found = forward_pst(bare, DirectionGrid.of([0.0, 60.0]), rays=50_000, relative_error=0.0001)
         assert found.facts["unfinished"] == [[0.0, 0.0], [60.0, 0.0]]
@@ -204,17 +193,16 @@ class TestBudget:
         scene = load_scene(scene_text(tube, shape_xml("asphere", "detector", 20.0, sensor=True, semi_diameter=1.0)))
         found = forward_pst(scene, DirectionGrid.of([0.0, 60.0]), rays=100_000, relative_error=0.05)
         assert found.value[1] == 0
-        assert found.facts["unseen"] == [[60.0, 0.0]]
-        assert found.facts["unfinished"] == [[60.0, 0.0]]
+        assert found.facts["unseen"] == found.facts["unfinished"] == [[60.0, 0.0]]
         assert found.paths(60.0).empty
         assert any(" 60" in note for note in found.facts["notes"])
         dark = forward_pst(scene, DirectionGrid.of([60.0]), rays=1000)
         assert dark.value.tolist() == [0.0]
         assert {"events", "scatter_1", "pst_normal"} <= set(dark.path_rows)
 
-    def test_the_second_angle_compiles_nothing(self, load_scene) -> None:
+    def test_the_second_angle_compiles_nothing(self) -> None:
         """All numbers that differ from angle to angle are arguments of the kernels."""
-        scene = load_scene((SCENES / "plate_and_wall" / "scene.xml").read_text(encoding="utf-8"))
+        scene = mistray.load("plate_and_wall")
         arguments: dict[str, Any] = {"rays": 2000, "map_pixels": 2, "settings": Settings.of(scene, max_scatters=1)}
         forward_pst(scene, DirectionGrid.of([10.0]), **arguments)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -279,9 +267,8 @@ def mean_of_cell(angle_deg: float) -> float:
 @pytest.mark.parametrize("method", ["adjoint", "joined"])
 def test_direct_light_is_weakened_in_front_of_the_detector(load_scene, material: str, method: str) -> None:
     """False alarm 1e-3 for all four; without the medium the light would be 2.7 times as strong, 10 errors or more."""
-    scene = load_scene(immersed(material))
-    pst = mistray.pst(scene, ANGLES_DEG, cell_deg=CELL_DEG, rays=1 << 20, method=method, max_scatters=0, seed=3)
-    value, se = pst.curve()
+    how = {"cell_deg": CELL_DEG, "rays": 1 << 20, "max_scatters": 0, "seed": 3}
+    value, se = mistray.pst(load_scene(immersed(material)), ANGLES_DEG, method=method, **how).curve()
     assert np.all(se < 0.05 * value)
     exact = [mean_of_cell(angle) for angle in ANGLES_DEG]
     assert np.all(np.abs(z_score(value, exact, se)) < z_limit(4 * len(ANGLES_DEG)))
@@ -304,14 +291,10 @@ RAYS = 8192  # less than a first pass: one pass
 @pytest.fixture(scope="module")
 def window(load_scene: Any) -> Any:
     rough = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-2, g=2.0)], "air", "1.5", R=0.4, T=0.5)
-    return load_scene(
-        scatter_scene(
-            beam_xml(1.0),
-            placed_xml("asphere", "front", rough, semi_diameter=4.0),
-            placed_xml("asphere", "rear", interface_xml("1.5", "air", R=0.4, T=0.6), at=(0, 0, 1), semi_diameter=4.0),
-            placed_xml("asphere", "detector", at=(0, 0, 2), pixels=4, semi_diameter=1.0),
-        )
-    )
+    front = placed_xml("asphere", "front", rough, semi_diameter=4.0)
+    rear = placed_xml("asphere", "rear", interface_xml("1.5", R=0.4, T=0.6), at=(0, 0, 1), semi_diameter=4.0)
+    detector = placed_xml("asphere", "detector", at=(0, 0, 2), pixels=4, semi_diameter=1.0)
+    return load_scene(scatter_scene(beam_xml(1.0), front, rear, detector))
 
 
 @pytest.mark.quick
@@ -343,7 +326,7 @@ def test_a_bare_detector_from_the_detector() -> None:
 
 @pytest.mark.quick
 def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, monkeypatch: Patch) -> None:
-    state, counts = tmp_path / "state.npz", {"save_state": 0, "paths": 0}
+    counts = {"save_state": 0, "paths": 0}
     for place, name in ((backward_run, "save_state"), (BackwardTrace, "paths")):
         call = getattr(place, name)
 
@@ -352,9 +335,10 @@ def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, mon
             return call(*given)
 
         monkeypatch.setattr(place, name, counted)
-    first = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, state=state)
+    how = {"cell_deg": 10.0, "rays": RAYS, "state": tmp_path / "state.npz"}
+    first = mistray.pst(window, [0.0, 30.0], **how)
     assert counts == {"save_state": 1, "paths": 1}
-    again = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, state=state, resume=True)
+    again = mistray.pst(window, [0.0, 30.0], **how, resume=True)
     assert counts == {"save_state": 1, "paths": 2}
     np.testing.assert_array_equal(again.value, first.value)
     assert again.paths(0.0).equals(first.paths(0.0))

@@ -31,12 +31,9 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.render import html_page
 
-SIGNATURE = {
-    "scene": "0123456789abcdef" * 4,
-    "grid": {"angles_deg": list(range(0, 81, 2)), "azimuth_cell_deg": 360.0},
-    "wavelength_nm": [550.0],
-    "settings": {"max_scatters": 1, "seed": 0, "aim": "auto"},
-}
+GRID = {"angles_deg": list(range(0, 81, 2)), "azimuth_cell_deg": 360.0}
+LIMITS = {"max_scatters": 1, "seed": 0, "aim": "auto"}
+SIGNATURE = {"scene": "0123456789abcdef" * 4, "grid": GRID, "wavelength_nm": [550.0], "settings": LIMITS}
 ARRAYS = {
     "sums": np.arange(24.0).reshape(2, 3, 4),
     "events": np.array([["L1_front:T", "détecteur:A"]]),
@@ -99,11 +96,9 @@ def test_files_that_are_none_are_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         path.write_bytes(content)
         with refused("is damaged or no state; remove it and run without resuming"):
             load_state(path)
-    grid = {"angles_deg": [0, 2, 5, *range(6, 81, 2)], "azimuth_cell_deg": 360.0}
-    absent = {"settings": {"max_scatters": 1, "seed": 0}}
     each_refused(
-        (absent, "settings.aim was auto and is absent;"),
-        ({"grid": grid}, "value 3 of grid.angles_deg"),
+        ({"settings": {"max_scatters": 1, "seed": 0}}, "settings.aim was auto and is absent;"),
+        ({"grid": GRID | {"angles_deg": [0, 2, 5, *range(6, 81, 2)]}}, "value 3 of grid.angles_deg"),
         by=lambda change: require_same("s.npz", {"signature": SIGNATURE}, SIGNATURE | change),
         pattern=r"^state 's\.npz' belongs to another run: .*{}",
     )
@@ -141,10 +136,9 @@ def test_errors_of_pixels_count_all_rays_of_unscattered_light() -> None:
         detector=detector(20.0, half_width=4.0, half_height=4.0),
     )
     found = mistray.pst(scene, [5], rays=1 << 14, cell_deg=4.0, max_scatters=1, map_pixels=1)
-    paths, (value, se) = found.paths(5), found.curve("direct")
-    assert paths.pst[0] == pytest.approx(value[0], rel=1e-6)
-    assert paths.kind[0] == "direct"
-    assert paths.pst_se[0] == pytest.approx(se[0], rel=1e-6)
+    direct, (value, se) = found.paths(5).iloc[0], found.curve("direct")
+    assert (direct.kind, direct.pst) == ("direct", pytest.approx(value[0], rel=1e-6))
+    assert direct.pst_se == pytest.approx(se[0], rel=1e-6)
     # Stratified rays have smaller errors than those of a pixel, which takes them for independent
     assert se[0] < found.maps[1].item() < 3 * se[0]
 
@@ -154,17 +148,14 @@ def test_breaks_are_where_the_slope_changes():
     found = breaks(curve(10.0 ** bent(ANGLES)))
     assert [b.field_deg for b in found] == [20.0, 30.0]
     first, second = found
-    assert first.slope_before == pytest.approx(-0.02, abs=0.03)
-    assert first.slope_after == pytest.approx(-0.2, abs=0.03)
+    assert (first.slope_before, first.slope_after) == pytest.approx((-0.02, -0.2), abs=0.03)
     assert first.change < 0 < second.change
     # Three independent points of 2 %: sqrt(1 + 4 + 1) · 0.02 / ln(10) / 2°
     assert first.change_se == pytest.approx(np.sqrt(6) * 0.02 / np.log(10) / 2, rel=0.4)
     assert first.before == ()
     # One factor on all angles of a batch changes no slope: the error of a change vanishes, that of the curve stays
-    rng = np.random.default_rng(3)
-    shared = 1 + 0.5 * rng.standard_normal(BATCHES)
     pst = curve((10.0 ** bent(ANGLES)), 0.0)
-    pst.by_batch[:] *= shared
+    pst.by_batch[:] *= 1 + 0.5 * np.random.default_rng(3).standard_normal(BATCHES)
     found = breaks(pst)
     assert pst.standard_error[0] > 0.05 * pst.value[0]
     assert [b.field_deg for b in found] == [20.0, 30.0]
@@ -175,17 +166,15 @@ def test_breaks_are_where_the_slope_changes():
 
 
 def test_causes_add_up_and_are_named():
-    table = causes.cause_frame(fake_pst())
+    pst = fake_pst()
+    table = cause_frame(pst)
     named = {"ghosts", "window_front", "barrel_1", "stop_wall", "barrel_1 (reflects)", "straight shots"}
     assert set(table.columns) == named
     np.testing.assert_allclose(table.sum(axis=1), 100)
-    words = causes.strongest(fake_pst(), 10.0, 1)
-    assert words[0][0].startswith("ghosts such as detector → L1_rear")
+    assert causes.strongest(pst, 10.0, 1)[0][0].startswith("ghosts such as detector → L1_rear")
     shares = pd.DataFrame({"a": [60.0, 70.0, 10.0, 0.0, 51.0], "b": [40.0, 30.0, 90.0, 0.0, 49.0]}, [0, 2, 4, 6, 8])
     assert causes.reigns(shares) == [(0, 2, "a", 60, 70), (4, 4, "b", 90, 90), (8, 8, "a", 51, 51)]
-    pst = fake_pst()
-    found = next(b for b in breaks(pst) if b.field_deg == 22.0)
-    (name, share), *_ = found.before
+    (name, share), *_ = next(b for b in breaks(pst) if b.field_deg == 22.0).before
     rows = pst.paths(20.0)
     assert name == "barrel_1 (reflects)"
     stray = rows[rows.kind != "direct"].pst.sum()
@@ -193,7 +182,7 @@ def test_causes_add_up_and_are_named():
     pst = fake_pst(field_deg=(0, 30))
     table = causes.first_level_scatter(pst)
     at_30 = table[table.angle_deg == 30].set_index("surface")
-    assert next(iter(at_30.index)) == "barrel_1"
+    assert at_30.index[0] == "barrel_1"
     paths = pst.paths(30.0).set_index("events")
     alone = paths.pst["L1_front:T barrel_1:r detector:A"]
     assert at_30.pst["barrel_1"] == alone  # the path scattered twice, whose first is barrel_1 too, is left out
@@ -224,11 +213,10 @@ def test_the_main_cause_brings_most_of_the_light_of_a_uniform_sky():
     projected = main_cause(pst.to("projected"))
     assert (projected.cause, projected.field_deg) == (found.cause, found.field_deg)
     assert projected.percent == pytest.approx(found.percent, rel=1e-12)
-    cosine = pst.grid.mean_cosine[k]
-    assert cosine * projected.stray.value == pytest.approx(found.stray.value, rel=1e-12)
-    assert cosine * projected.left.value == pytest.approx(found.left.value, rel=1e-12)
-    assert main_cause(fake_pst(paths=False)) is None
-    assert main_cause(fake_pst(dark_from_deg=-1.0)) is None
+    for one in ("stray", "left"):
+        value = pst.grid.mean_cosine[k] * getattr(projected, one).value
+        assert value == pytest.approx(getattr(found, one).value, rel=1e-12)
+    assert main_cause(fake_pst(paths=False)) is main_cause(fake_pst(dark_from_deg=-1.0)) is None
 
 
 def test_a_new_first_surface_in_many_azimuths() -> None:
@@ -272,16 +260,14 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
     np.testing.assert_allclose(frame.pst_stray_se, stray.std(axis=-1, ddof=1) / np.sqrt(32), rtol=1e-9)
     for k, name in enumerate(CLASSES):
         np.testing.assert_allclose(frame[f"pst_{name}"], batches[k].mean(axis=-1), rtol=1e-12)
-    assert list(frame.largest_share[[0, 40]]) == [0.002, 0.31]
-    assert list(frame.angle_from_deg[:2]) == [0.0, 1.0]
+    assert [*frame.largest_share[[0, 40]], *frame.angle_from_deg[:2]] == [0.002, 0.31, 0.0, 1.0]
     low, high = np.radians(pst.grid.edges_deg).T
     ratio = tables.curve_frame(pst.to("projected")).pst_total / frame.pst_total
     np.testing.assert_allclose(ratio, 2 / (np.cos(low) + np.cos(high)), rtol=1e-12)
     # The edge of the field is where direct light is half
     edge = field_edge(fake_pst(field_deg=np.arange(0, 40, 0.5), noise=1e-3))
     assert edge == pytest.approx(26.0, abs=0.05)  # of the logistic edge that the camera has
-    assert field_edge(fake_pst(field_deg=(0, 5, 10))) is None
-    assert field_edge(fake_pst(field_deg=(40, 50))) is None
+    assert field_edge(fake_pst(field_deg=(0, 5, 10))) is field_edge(fake_pst(field_deg=(40, 50))) is None
     assert fake_pst().notes == FACTS["notes"]
     (noisy,) = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
     assert re.match("standard error up to .* at 70, 80°", noisy)
@@ -315,18 +301,16 @@ def test_text_with_the_numbers_and_their_errors(pst: Pst) -> None:
     assert len(table) == 41
     angle, total, stray, *classes, share = table[20]
     value, _, error = stray.partition(" ± ")
-    assert (angle, total) == ("40", stray)
+    assert (angle, total, classes[0], float(share)) == ("40", stray, "–", 0.2)  # no direct light there
     assert float(value) == pytest.approx(pst.stray[20], rel=0.02)
     assert float(error) == pytest.approx(pst.stray_se[20], rel=0.1)
-    assert classes[0] == "–"  # no direct light there
-    assert float(share) == 0.2
     assert stray_paths(pst, 44.0).label.isin(["straight shot"]).sum() == 1
     assert rows(tables.curve_text(fake_pst(dark_from_deg=50)))[-1][:-1] == ["80", *["–"] * 7]
     expected = stray_paths(pst, 20.0, 2)
-    angle, first, share, second, second_share = rows(tables.top_paths_text(pst, 2))[10]
-    assert angle == "20"
-    assert [first, second] == list(expected.label) == ["barrel_1 (structure)", "detector → L1_rear"]
-    assert [float(share), float(second_share)] == pytest.approx(list(expected.percent_of_stray), rel=5e-3)
+    angle, *both = rows(tables.top_paths_text(pst, 2))[10]
+    assert (angle, both[::2]) == ("20", ["barrel_1 (structure)", "detector → L1_rear"])
+    assert both[::2] == list(expected.label)
+    assert [float(share) for share in both[1::2]] == pytest.approx(list(expected.percent_of_stray), rel=5e-3)
     text = tables.pst_text(pst)
     assert "edge of the field, half of the direct light at 0°, interpolated: 26.1°" in text
     assert "Strongest stray paths" not in tables.pst_text(fake_pst(paths=False))
@@ -438,8 +422,7 @@ def test_dark_angles_and_deep_curves() -> None:
     deep = fake_pst()
     deep.by_batch[:, 20:] *= 1e-6
     low, high = pst_curve(deep).axes[0].get_ylim()
-    assert low < deep.value.min()
-    assert deep.value.max() < high
+    assert low < deep.value.min() < deep.value.max() < high
     dark = fake_pst(azimuths_deg=(0, 90), dark_from_deg=0)
     assert texts(pst_curve(dark).axes[0]) == ["no light was seen"]
     for draw in (pst_causes, pst_map):
@@ -455,9 +438,8 @@ def test_causes_are_stacked_shares_and_irradiance_a_log_map(mapped: Pst) -> None
         tops += table[name]
     np.testing.assert_allclose(tops, 100, rtol=1e-6)
     few = fake_pst(field_deg=(0, 20, 40))
-    rows = few.path_rows
-    copies = [rows.assign(scatter_1=f"wall_{k}", events=f"wall_{k}:r detector:A") for k in range(12)]
-    many = type(few)(**{**vars(few), "path_rows": type(rows)(np.vstack(copies), columns=rows.columns).infer_objects()})
+    walls = ({"scatter_1": f"wall_{k}", "events": f"wall_{k}:r detector:A"} for k in range(12))
+    many = replace(few, path_rows=pd.concat([few.path_rows.assign(**wall) for wall in walls], ignore_index=True))
     labels = [bars.get_label() for bars in pst_causes(many).axes[0].containers]
     assert len(labels) == 10
     assert labels[-1].endswith(" more")

@@ -1,4 +1,4 @@
-"""Sensitivity tables and linear propagation: closed forms, differences with the same rays, groups, bad input."""
+"""Sensitivity tables, linear propagation and changes that lower a metric: closed forms, bounds, noise, bad input."""
 
 import dataclasses
 import math
@@ -12,12 +12,16 @@ import pytest
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 from refusals import each_refused, refused
+from scene_dicts import BLACK, detector, load
+from scipy.optimize import minimize
 
 import mistray
 from mistray.analyses.sensitivity import draws, request
+from mistray.analyses.sensitivity.changes import Ranges, best_together, least_effort, single_changes
 from mistray.analyses.sensitivity.page import notes
 from mistray.analyses.sensitivity.propagation import propagate
 from mistray.analyses.sensitivity.proposals import free_keys
+from mistray.analyses.sensitivity.rows import LineNumbers, lines_of
 from mistray.metrics.parameters import KINDS
 from mistray.optimize import parameters, path_power, pst_bin, sensitivity
 
@@ -72,8 +76,7 @@ class TestClosedForm:
 
     def test_draws(self, table: Any) -> None:
         """The traced metrics of all systems are the closed form of numbers drawn with the same seed."""
-        generator = np.random.default_rng(0)
-        expected = []
+        generator, expected = np.random.default_rng(0), []
         for _ in range(40):
             drawn = np.array([R, R, T, T]) + np.array([0.02, 0.02, 0.04, 0.04]) * generator.standard_normal(4)
             r, t = np.clip(drawn, 0, 1).reshape(2, 2)
@@ -120,17 +123,10 @@ def test_changes_that_exclude_each_other(plate: Any) -> None:
     assert (found[RS[0]].to_value, found[TS[0]].to_value) == pytest.approx((R + 0.1 * (1 - R), T + 0.5 * (1 - T)))
     ((row, change),) = found.together.changes
     assert (row.label, change.value) == (RS[0], found[RS[0]].to_value)
-
-
-def test_a_detector_stays_lit() -> None:
-    """With R = 1 it would absorb nothing, which no trace takes: the range ends before."""
+    # With R = 1 a detector would absorb nothing, which no trace takes: the range ends before
     direct = path_power(mistray.load("lens_and_window"), "direct", rays=256)
     (row,) = sensitivity(direct, keys="detector.bsdf.R", check=False).rows
     assert row.to_value == pytest.approx(0.2 + 0.999 * 0.8, rel=1e-6)
-
-
-def test_kinds_that_can_be_chosen() -> None:
-    assert request.KINDS == KINDS
 
 
 @pytest.mark.long
@@ -171,15 +167,13 @@ def test_what_changes_together(plate: Any) -> None:
 
 def test_systems_that_cross_are_drawn_again(load_scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two faces 20 µm apart, which tolerances of 20 µm bring through one another in a quarter of all draws."""
-    gap = [interface_xml("air", "1.5", R=0.1, T=0.8), interface_xml("1.5", "air", R=0.1, T=0.8)]
-    scene = load_scene(
-        scene_text(
-            shape_xml("asphere", "front", 0.0, gap[0], semi_diameter=5.0, curvature=-0.02),
-            shape_xml("asphere", "rear", 0.02, gap[1], semi_diameter=5.0, curvature=0.02),
-            shape_xml("asphere", "detector", 5.0, sensor=True, half_width=8.0, half_height=8.0),
-        )
-    )
-    metric = path_power(scene, "direct", rays=64)
+    sides = ("front", 0.0, ("air", "1.5"), -0.02), ("rear", 0.02, ("1.5", "air"), 0.02)
+    faces = [
+        shape_xml("asphere", name, z, interface_xml(*media, R=0.1, T=0.8), semi_diameter=5.0, curvature=c)
+        for name, z, media, c in sides
+    ]
+    detector = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=8.0, half_height=8.0)
+    metric = path_power(load_scene(scene_text(*faces, detector)), "direct", rays=64)
     found = sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=10, seed=1)
     assert 1 <= found.draws.rejected <= 30  # 3 expected; none in 6 % of all seeds, and this one is fixed
     assert found.draws.ratios == pytest.approx(np.ones(10), rel=1e-6)
@@ -205,6 +199,7 @@ def test_a_table_has_all(plate: Any, table: Any) -> None:
     frame = table.to_pandas()
     assert list(frame.label) == [row.label for row in table.rows]
     assert frame.change_percent.iloc[0] == pytest.approx(20, rel=1e-4)
+    assert request.KINDS == KINDS
     assert "p0_front.inner_semi_diameter" in table.without_derivative
     assert not [key for key in table.without_derivative if "vert" in key]
     assert any("flux_threshold" in text for text in table.left_out)
@@ -309,8 +304,7 @@ def batches(changes, noise=0.0, seed=0) -> np.ndarray:
 def test_closed_forms_and_noise() -> None:
     """3² + 4² = 5²; what varies together adds with its signs, (3 - 4)² + 2²; and no change at all."""
     spread = propagate(["a", "b", "c"], batches([3.0, -4.0, 0.0]))
-    assert spread.variance == pytest.approx((25.0, 0.0))
-    assert spread.deviation == pytest.approx((5.0, 0.0))
+    assert (*spread.variance, *spread.deviation) == pytest.approx((25.0, 0.0, 5.0, 0.0))
     assert [item.name for item in spread.contributions] == ["b", "a", "c"]
     assert [item.share.value for item in spread.contributions] == pytest.approx([16 / 25, 9 / 25, 0])
     spread = propagate(["a", "b", "c"], batches([3.0, -4.0, 2.0]), [("a and b", [0, 1])])
@@ -344,3 +338,77 @@ def test_closed_forms_and_noise() -> None:
     for value, se in ((0, 1), (2, 3), (4, 5)):
         ratio = values[:, value].var(ddof=1) / np.mean(values[:, se] ** 2)
         assert 0.65 < ratio < 1.48, ratio
+
+
+def ranges(slope, value=None, low=None, high=None, tolerance=None, se=None) -> Ranges:
+    n = len(slope)
+
+    def given(numbers, default: float) -> np.ndarray:
+        return np.full(n, default) if numbers is None else np.array(numbers, dtype=float)
+
+    return Ranges(given(value, 0), given(low, -np.inf), given(high, np.inf), given(tolerance, 1), np.array(slope),
+                  given(se, 0))  # fmt: skip
+
+
+@pytest.mark.quick
+def test_alone_and_together() -> None:
+    """ln M falls by ln 10 after Δ = -ln 10 / s, against s; less at a bound; noise proposes nothing."""
+    up, down = single_changes(ranges([2.0, -0.5], value=[1.0, 3.0]), 10.0)
+    assert (up.value, up.factor, up.reached) == (pytest.approx(1 - math.log(10) / 2), pytest.approx(10), True)
+    assert (down.value, down.reached) == (pytest.approx(3 + math.log(10) / 0.5), True)
+    # From 0.02 down to 0 with s = 40 is a factor of e^0.8, from 3 up to 4 with s = -1.5 one of e^1.5
+    both = single_changes(ranges([40.0, -1.5], value=[0.02, 3.0], low=[0.0, 0.0], high=[1.0, 4.0]), 10.0)
+    assert [c.value for c in both] == [0.0, 4.0]
+    assert [c.factor for c in both] == pytest.approx([math.exp(0.8), math.exp(1.5)])
+    assert not any(c.reached for c in both)
+    (change,) = single_changes(ranges([2.0], value=[1.0], se=[1.0]), 10.0)
+    assert (change.value, change.factor, change.reached) == (1.0, 1.0, False)
+    # Without bounds x_i ~ w_i² (Lagrange); with bounds against a numerical minimum; and out of reach
+    weight = np.array([1.0, 2.0, 3.0])
+    assert least_effort(weight, np.full(3, np.inf), 7.0) == pytest.approx(7 * weight**2 / 14)
+    weight, most, goal = np.array([1.0, 2.0, 3.0, 0.5]), np.array([9.0, 0.7, 1.1, 9.0]), 2.5
+    found = minimize(
+        lambda x: np.sum((x / weight) ** 2), goal * np.ones(4) / 4, bounds=[(0, m) for m in most],
+        constraints={"type": "eq", "fun": lambda x: x.sum() - goal}, options={"ftol": 1e-14},
+    )  # fmt: skip
+    assert least_effort(weight, most, goal) == pytest.approx(found.x, abs=1e-6)
+    assert least_effort(np.ones(2), np.array([0.5, 0.25]), 3.0) == pytest.approx([0.5, 0.25])
+    # The three with the largest change per tolerance, unless they have nothing to give or are not known
+    given = ranges([1.0, 5.0, 3.0, 2.0], tolerance=[10.0, 0.1, 1.0, 2.0])
+    found = best_together(given, 10.0)
+    assert [c.number for c in found] == [0, 3, 2]
+    assert math.prod(c.factor for c in found) == pytest.approx(10)
+    assert sum(given.slope[c.number] * c.value for c in found) == pytest.approx(-math.log(10))
+    given = ranges([9.0, 8.0, 1.0, 1.0, 1.0], value=[0.001, 0.0, 1.0, 1.0, 1.0], low=[0.0] * 5, tolerance=[1.0] * 5)
+    found = best_together(given, 10.0)
+    assert sorted(c.number for c in found) == [2, 3, 4]
+    assert all(c.reached for c in found)
+    found = best_together(ranges([1.0, 1.0, 1.0, 1.0], value=[0.5, 0.1, 0.3, 0.2], low=[0.0] * 4), 10.0)
+    assert [(c.number, c.value, c.reached) for c in found] == [(0, 0.0, False), (2, 0.0, False), (3, 0.0, False)]
+    assert math.prod(c.factor for c in found) == pytest.approx(math.exp(1.0))
+    assert best_together(ranges([1.0, 2.0], se=[1.0, 2.0]), 10.0) == ()
+
+
+@pytest.mark.quick
+def test_a_range_ends_before_what_its_model_refuses() -> None:
+    """A paint without a glossy lobe refuses the reflectance 0, and with it one at which it scatters more than all."""
+    paint = {"type": "paint", "id": "black_paint", "reflectance": 0.04}
+    wall = {"type": "asphere", "semi_diameter": 5.0, "bsdf": BLACK | {"p": paint}}
+    other = wall | {"z": 5.0, "bsdf": BLACK | {"p": paint | {"id": "glossy", "b0": 0.5}}}
+    beam = {"type": "collimated", "radius": 1.0}
+    scene = load(beam=beam, wall=wall, other=other, detector=detector(-5.0, semi_diameter=5.0))
+    params = mi.traverse(scene)
+    known = parameters(scene, params)
+    keys = [key for key in known if key.endswith("reflectance")]
+    lines = lines_of(scene, params, known, keys)
+    value = np.array([float(np.ravel(line.parameter.value)[line.entry]) for line in lines])
+    ones = np.ones(len(lines))
+    wide = Ranges(value, 0 * ones, ones, ones, ones, ones)
+    found = LineNumbers(lines, wide, ones, ones, ones, ones, ones[None]).accepted(params, wide, lambda: None)
+    ends = {line.parameter.key: (found.low[k], found.high[k]) for k, line in enumerate(lines)}
+    assert len(ends) == 2
+    assert next(end for key, end in ends.items() if key.startswith(("black", "wall"))) == (pytest.approx(4e-5), 1.0)
+    low, high = next(end for key, end in ends.items() if key.startswith(("glossy", "other")))
+    assert low == 0.0
+    assert 0.04 < high < 1.0
+    np.testing.assert_allclose([float(np.ravel(params[key])[0]) for key in keys], 0.04, rtol=1e-6)

@@ -6,6 +6,7 @@ A number from a trace must lie within 4 standard errors of the exact one: false-
 import math
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -21,6 +22,7 @@ from vectors import frame
 
 from mistray import ThermalReport, thermal
 from mistray.analyses.thermal.request import DetectorNoise
+from mistray.analyses.thermal.result import Emitter
 from mistray.analyses.thermal.spectrum import TracedBand, band_weights, traced_wavelengths
 from mistray.materials import complex_index
 from mistray.physics import planck
@@ -41,6 +43,8 @@ def detector_xml(half: float = 0.01, **values: float | str) -> str:
 
 
 Load = Callable[..., mi.Scene]
+COLD: dict[str, Any] = {"max_reflections": 1, "max_scatters": 0, "temperatures": {"detector": 77.0}}
+COLD["wavelengths_um"] = 10.0  # which stands for a narrow band
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +56,9 @@ def sheet_xml(emissivity: float) -> str:
     return interface_xml(R=0.0, T=1 - emissivity)
 
 
-def irradiance(report: ThermalReport, name: str) -> tuple[float, float]:
-    (emitter,) = (e for e in report.emitters if e.name == name)
-    return emitter.irradiance_W_mm2
+def emitter(report: ThermalReport, name: str) -> Emitter:
+    (found,) = (e for e in report.emitters if name in (e.name, e.kind))
+    return found
 
 
 def check(what: str, found: tuple[float, float], expected: float, relative: float) -> None:
@@ -74,12 +78,11 @@ class TestConeOfOptics:
             placed_xml("frustum", "housing", sheet_xml(row.emissivity), r0=radius, z0=-distance, r1=radius, z1=0.5),
         )
         report = thermal(scene, row.T, BAND, rays=200_000, seed=1)
-        check("optics", irradiance(report, "window"), PER_M2 * row[6], 0.03)
-        check("housing", irradiance(report, "housing"), PER_M2 * row[7], 0.01)
+        for name, exact, relative in (("window", row[6], 0.03), ("housing", row[7], 0.01)):
+            check(name, emitter(report, name).irradiance_W_mm2, PER_M2 * exact, relative)
         check("total", report.total_W_mm2, PER_M2 * (row[6] + row[7]), 0.01)
-        whole = math.pi * planck.band_radiance(row.T, *BAND)
-        check("scene", report.scene_W_mm2, (1 - row.emissivity) * whole, 0.01)
-        check("image", report.image_W_mm2, (1 - row.emissivity) * whole, 0.01)
+        for name, found in (("scene", report.scene_W_mm2), ("image", report.image_W_mm2)):
+            check(name, found, (1 - row.emissivity) * math.pi * planck.band_radiance(row.T, *BAND), 0.01)
         assert report.to_image.value == pytest.approx(row.emissivity / (1 - row.emissivity), rel=0.02)
         assert math.isnan(report.nitd_K.value), "nothing is cold"
         (note,) = report.notes
@@ -106,12 +109,11 @@ class TestConeOfOptics:
             placed_xml("asphere", "rear", interface_xml(glass, "air"), at=(0, 0, -6), semi_diameter=400.0),
         )
         report = thermal(scene, 293.0, BAND, rays=200_000, aim="none")
-        (slab,) = (e for e in report.emitters if e.kind == "medium")
         um = np.linspace(*BAND, 2001)
-        planckian = planck.spectral_radiance(um, 293.0)
-        exact = np.average(1 - 2 * expn(3, 4 * np.pi * 2e-5 * 3e3 / um), weights=planckian)
-        check("emission", slab.emission, exact, 0.01)
-        assert slab.emission.se > report.band_error / math.sqrt(3) * exact * 0.99 > 1e-3 * exact
+        exact = np.average(1 - 2 * expn(3, 4 * np.pi * 2e-5 * 3e3 / um), weights=planck.spectral_radiance(um, 293.0))
+        emission = emitter(report, "medium").emission
+        check("emission", emission, exact, 0.01)
+        assert emission.se > report.band_error / math.sqrt(3) * exact * 0.99 > 1e-3 * exact
 
 
 class TestNarcissus:
@@ -127,8 +129,7 @@ class TestNarcissus:
             for name, share, outer, inner in rings
         ]  # fmt: skip
         wall = placed_xml("frustum", "wall", r0=10 * sine, z0=-10 * math.cos(math.asin(sine)), r1=10 * sine, z1=1.0)
-        cold = {"detector": row.T_cold}
-        scene = load(detector_xml(0.02), *shapes, wall)
+        scene, cold = load(detector_xml(0.02), *shapes, wall), {"detector": row.T_cold}
         report = thermal(scene, row.T_housing, BAND, temperatures=cold, rays=400_000, seed=3)
         # The vector holds to first order: the window also reflects the scene away
         nitd = row.NITD_K / (1 - row.R * row.fraction_of_cone_returning_cold)
@@ -179,8 +180,7 @@ class TestNarcissus:
         shield = placed_xml("frustum", "shield", r0=2.5, z0=-10.0, r1=2.5, z1=0.5)
         scene = load(detector_xml(), shield)
         report = thermal(scene, 293.0, BAND, temperatures={"detector": 77.0, "shield": 77.0}, rays=50_000, aim="none")
-        assert report.nitd_K == (0.0, 0.0), "both traces start the same rays"
-        assert report.self_view == (0.0, 0.0)
+        assert report.nitd_K == report.self_view == (0.0, 0.0), "both traces start the same rays"
         assert report.returned == []
 
     def test_which_surface(self, load: Load) -> None:
@@ -193,16 +193,13 @@ class TestNarcissus:
             detector_xml(1.0, R=0.1),
             placed_xml("frustum", "tube", r0=4.0, z0=-8.0, r1=4.0, z1=0.5),
         )
-        settings = {"max_reflections": 1, "max_scatters": 0, "rays": 400_000, "temperatures": {"detector": 77.0}}
-        # The band is narrow, so that one wavelength stands for it
-        report = thermal(scene, 293.0, (9.99, 10.01), wavelengths_um=10.0, **settings)
+        report = thermal(scene, 293.0, (9.99, 10.01), rays=400_000, **COLD)
         assert {back.surface for back in report.returned} == {"front", "rear"}
         single = sum(back.emission.value for back in report.returned)
         error = math.hypot(report.self_view.se, *(back.emission.se for back in report.returned))
         assert error < 0.03 * single
         assert_z("self view", report.self_view.value, single, error, k=4.0)
-        (rear,) = (back.emission.value for back in report.returned if back.surface == "rear")
-        assert 0 < rear < 0.2 * 0.9
+        assert all(0 < back.emission.value < 0.2 * 0.9 for back in report.returned if back.surface == "rear")
 
     def test_the_sky_beside_a_lens_is_no_image(self, load_scene: Callable[[str], mi.Scene]) -> None:
         """Without a tube most of what the detector sees is beside the lens; its image has the same temperature."""
@@ -213,8 +210,7 @@ class TestNarcissus:
             placed_xml("frustum", "edge", r0=4.0, z0=-8.31, r1=4.0, z1=-6.0),
         )
         scene = load_scene(scatter_scene(beam_xml(1.0, distance=30.0), *lens, detector_xml(1.0)))
-        settings = {"max_reflections": 1, "max_scatters": 0, "rays": 50_000, "temperatures": {"detector": 77.0}}
-        report = thermal(scene, 293.0, (9.99, 10.01), wavelengths_um=10.0, **settings)
+        report = thermal(scene, 293.0, (9.99, 10.01), rays=50_000, **COLD)
         assert report.scene_W_mm2.value > 3 * report.image_W_mm2.value
         whole = sum(back.with_shield_K.value for back in report.returned)
         error = math.hypot(report.nitd_K.se, *(back.with_shield_K.se for back in report.returned))
@@ -222,56 +218,56 @@ class TestNarcissus:
         assert_z("nitd", whole, report.nitd_K.value, error, k=4.0)
 
 
-class TestNetd:
-    NOISE = DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, detectivity=5e10, quantum_efficiency=0.6)
+PIXEL = {"pixel_um": 15.0, "bandwidth_hz": 500.0}
+NOISE = DetectorNoise(**PIXEL, detectivity=5e10, quantum_efficiency=0.6)
 
-    def test_a_cone_of_optics(self, load: Load) -> None:
-        """F/2, all parts in closed form: each has a temperature of its own; the last name that fits holds."""
-        scene = load(
-            detector_xml(),
-            placed_xml("asphere", "window", sheet_xml(0.05), at=(0, 0, -10), semi_diameter=2.5),
-            placed_xml("frustum", "tube_a", r0=2.5, z0=-10.0, r1=2.5, z1=-1.0),
-            placed_xml("frustum", "tube_b", r0=2.5, z0=-1.0, r1=2.5, z1=0.5),
-        )
-        kelvin = {"*": 250.0, "tube_?": 80.0, "tube_b": 0.0, "window": 350.0}
-        settings = {"scene_K": 300.0, "rays": 100_000, "seed": 3, "noise": self.NOISE}
-        report = thermal(scene, 293.0, BAND, temperatures=kelvin, **settings)
-        emitters = {e.name: e for e in report.emitters}
-        assert {name: e.temperature_K for name, e in emitters.items()} == {"window": 350, "tube_a": 80, "tube_b": 0}
-        assert (report.detector_K, set(report.by_part())) == (250.0, set(emitters))
-        cone = planck.cone_projected_solid_angle(2.0)
-        inner = 2.5**2 / (2.5**2 + 1.0**2)  # sin² of the edge between the tubes
-        for name, weight, temperature in (("window", 0.05 * cone, 350.0), ("tube_a", math.pi * inner - cone, 80.0)):
-            check(name, irradiance(report, name), weight * planck.band_radiance(temperature, *BAND), 0.02)
-        assert irradiance(report, "tube_b") == (0.0, 0.0)
-        check("emission at 0 K", emitters["tube_b"].emission, 1 - inner, 0.01)
-        check("scene", report.scene_W_mm2, 0.95 * cone * planck.band_radiance(300.0, *BAND), 0.01)
-        table = report.to_pandas()
-        assert table.irradiance_W_mm2.is_monotonic_decreasing
-        assert table.percent.sum() == pytest.approx(100)
-        assert table.irradiance_W_mm2.sum() == pytest.approx(report.total_W_mm2.value, rel=1e-6)
 
-        def photons(temperature: float) -> float:
-            """2c/λ⁴/(exp(x) - 1), photons/(s mm² sr)."""
-            waves = np.linspace(*BAND, 20_001)
-            x = planck.C2_UM_K / waves / temperature
-            return 1e12 * float(np.trapezoid(2 * planck.LIGHT / waves**4 / np.expm1(x), waves))
+def test_netd_of_a_cone_of_optics(load: Load) -> None:
+    """F/2, all parts in closed form: each has a temperature of its own; the last name that fits holds."""
+    scene = load(
+        detector_xml(),
+        placed_xml("asphere", "window", sheet_xml(0.05), at=(0, 0, -10), semi_diameter=2.5),
+        placed_xml("frustum", "tube_a", r0=2.5, z0=-10.0, r1=2.5, z1=-1.0),
+        placed_xml("frustum", "tube_b", r0=2.5, z0=-1.0, r1=2.5, z1=0.5),
+    )
+    kelvin = {"*": 250.0, "tube_?": 80.0, "tube_b": 0.0, "window": 350.0}
+    settings = {"scene_K": 300.0, "rays": 100_000, "seed": 3, "noise": NOISE}
+    report = thermal(scene, 293.0, BAND, temperatures=kelvin, **settings)
+    emitters = {e.name: e for e in report.emitters}
+    assert {name: e.temperature_K for name, e in emitters.items()} == {"window": 350, "tube_a": 80, "tube_b": 0}
+    assert (report.detector_K, set(report.by_part())) == (250.0, set(emitters))
+    cone = planck.cone_projected_solid_angle(2.0)
+    inner = 2.5**2 / (2.5**2 + 1.0**2)  # sin² of the edge between the tubes
+    for name, weight, temperature in (("window", 0.05 * cone, 350.0), ("tube_a", math.pi * inner - cone, 80.0)):
+        check(name, emitters[name].irradiance_W_mm2, weight * planck.band_radiance(temperature, *BAND), 0.02)
+    assert emitters["tube_b"].irradiance_W_mm2 == (0.0, 0.0)
+    check("emission at 0 K", emitters["tube_b"].emission, 1 - inner, 0.01)
+    check("scene", report.scene_W_mm2, 0.95 * cone * planck.band_radiance(300.0, *BAND), 0.01)
+    table = report.to_pandas()
+    assert table.irradiance_W_mm2.is_monotonic_decreasing
+    assert table.percent.sum() == pytest.approx(100)
+    assert table.irradiance_W_mm2.sum() == pytest.approx(report.total_W_mm2.value, rel=1e-6)
 
-        expected = {"scene, image": 0.95 * cone * photons(300.0), "window": 0.05 * cone * photons(350.0)}
-        expected["tube_a"] = (math.pi * inner - cone) * photons(80.0)
-        netd = report.netd
-        found = {source.name: source for source in netd.sources}
-        for name, value in expected.items():
-            check(name, found[name].photons_mm2_s, value, 0.02)
-        assert found["scene, ghosts and scatter"].photons_mm2_s == (0.0, 0.0)
-        slope = 0.95 * cone * planck.band_derivative(300.0, *BAND)
-        check("per kelvin", netd.per_kelvin_W_mm2, slope, 0.02)
-        check("by D*", netd.by_detectivity_K, netd_by_detectivity(slope, 5e10, 0.015**2, 500.0), 0.02)
-        rise = 0.95 * cone * (photons(300.5) - photons(299.5))
-        whole = sum(expected.values())
-        check("by photons", netd.by_photons_K, netd_by_photons(whole, rise, 0.6, 0.015**2, 500.0), 0.02)
-        assert math.fsum(s.netd_K.value**2 for s in netd.sources) == pytest.approx(netd.by_photons_K.value**2)
-        assert math.fsum(s.percent for s in netd.sources) == pytest.approx(100)
+    def photons(temperature: float) -> float:
+        """2c/λ⁴/(exp(x) - 1), photons/(s mm² sr)."""
+        waves = np.linspace(*BAND, 20_001)
+        x = planck.C2_UM_K / waves / temperature
+        return 1e12 * float(np.trapezoid(2 * planck.LIGHT / waves**4 / np.expm1(x), waves))
+
+    expected = {"scene, image": 0.95 * cone * photons(300.0), "window": 0.05 * cone * photons(350.0)}
+    expected["tube_a"] = (math.pi * inner - cone) * photons(80.0)
+    netd = report.netd
+    found = {source.name: source for source in netd.sources}
+    for name, value in expected.items():
+        check(name, found[name].photons_mm2_s, value, 0.02)
+    assert found["scene, ghosts and scatter"].photons_mm2_s == (0.0, 0.0)
+    slope = 0.95 * cone * planck.band_derivative(300.0, *BAND)
+    check("per kelvin", netd.per_kelvin_W_mm2, slope, 0.02)
+    check("by D*", netd.by_detectivity_K, netd_by_detectivity(slope, 5e10, 0.015**2, 500.0), 0.02)
+    rise = 0.95 * cone * (photons(300.5) - photons(299.5))
+    check("by photons", netd.by_photons_K, netd_by_photons(sum(expected.values()), rise, 0.6, 0.015**2, 500.0), 0.02)
+    assert math.fsum(s.netd_K.value**2 for s in netd.sources) == pytest.approx(netd.by_photons_K.value**2)
+    assert math.fsum(s.percent for s in netd.sources) == pytest.approx(100)
 
 
 class TestCavity:
@@ -285,16 +281,15 @@ class TestCavity:
             )
             for bsdf in (None, wall_xml(0.9))
         )
-        report = thermal(black, 293.0, BAND, rays=20_000, noise=TestNetd.NOISE)
-        assert report.total_W_mm2.value == pytest.approx(math.pi * RADIANCE, rel=1e-6)
-        assert report.total_W_mm2.se < 1e-6 * math.pi * RADIANCE
+        report, whole = thermal(black, 293.0, BAND, rays=20_000, noise=NOISE), math.pi * RADIANCE
+        assert report.total_W_mm2.value == pytest.approx(whole, rel=1e-6)
+        assert report.total_W_mm2.se < 1e-6 * whole
         assert report.scene_W_mm2.value == 0
         assert math.isnan(report.to_image.value)
         assert "the detector sees no scene" in report.notes[0]
         assert (report.netd.sources, math.isnan(report.netd.by_detectivity_K.value)) == ([], True)
         report = thermal(grey, 293.0, BAND, rays=20_000, max_scatters=1)
         assert "was not followed to its source; raise max_reflections and max_scatters" in report.notes[0]
-        whole = math.pi * RADIANCE
         assert 0.5 * whole < report.lost_W_mm2 < 0.81 * whole
         rest = report.total_W_mm2.value + report.scene_W_mm2.value + report.lost_W_mm2
         assert rest == pytest.approx(whole, rel=1e-5)
@@ -357,7 +352,7 @@ def test_media_absorb_and_walls_emit(load: Load) -> None:
         return quad(lambda t: 2 * math.sin(t) * math.cos(t) * -math.expm1(-depth / math.cos(t)), 0, 0.5)[0]
 
     expected = math.pi * quad(lambda w: absorbed(w) * float(planck.spectral_radiance(w, 300.0)), 3, 5)[0]
-    (slab,) = (e for e in report.emitters if e.kind == "medium")
+    slab = emitter(report, "medium")
     assert (slab.name, slab.temperature_K) == (other, 300.0)
     assert slab.irradiance_W_mm2.se < 0.01 * expected
     assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
@@ -393,18 +388,17 @@ class TestWavelengths:
     def test_depends(self, load: Load) -> None:
         """What a constant index scatters does not; an index, an absorption and a reference wavelength do."""
         abg = {"A": 1e-3, "B": 1e-3, "g": 2.0}
-        for lens in (
-            scattering_xml([bsdf_xml("abg", **abg)], "air", "1.5"),
-            interface_xml("air", "ZnSe k=0"),
-            interface_xml("air", "1.5+0.0001i"),
-            scattering_xml([bsdf_xml("abg", **abg, reference_nm=5e3)], R=0.5, T=0.5),
+        for depends, lens in (
+            (False, scattering_xml([bsdf_xml("abg", **abg)], "air", "1.5")),
+            (True, interface_xml("air", "ZnSe k=0")),
+            (True, interface_xml("air", "1.5+0.0001i")),
+            (True, scattering_xml([bsdf_xml("abg", **abg, reference_nm=5e3)], R=0.5, T=0.5)),
         ):
             scene = load(placed_xml("asphere", "lens", lens, at=(0, 0, -5), semi_diameter=2.0), detector_xml())
             found = traced_wavelengths(scene, None, BAND)
             assert traced_wavelengths(scene, 9, BAND).wavelengths_um == (9.0,)
-            if "1.5" in lens and "+" not in lens:
-                assert found == TracedBand((10.0,), 0.0)
-            else:
+            assert (found == TracedBand((10.0,), 0.0)) != depends
+            if depends:
                 assert {8.0, 10.0, 12.0} <= set(found.wavelengths_um)
                 assert 0 <= found.error <= 0.01
                 # What is so cold has no light in the band
@@ -430,28 +424,24 @@ class TestWavelengths:
         exact = float(np.trapezoid(passed(fine) * planck.spectral_radiance(fine, 300.0), fine))
         whole = planck.band_radiance(300.0, *band)
         found = traced_wavelengths(scene, None, band, [300.0])
-        nodes = np.array(found.wavelengths_um)
         assert found.error <= 0.01
+        nodes = np.array(found.wavelengths_um)
         by_nodes = band_weights(300.0, band, nodes) @ passed(nodes)
         assert by_nodes == pytest.approx(exact, rel=0.01)
         assert whole - by_nodes == pytest.approx(whole - exact, rel=0.01)
         ends = [band[0], sum(band) / 2, band[1]]
-        three = traced_wavelengths(scene, ends, band, [300.0])
         off = abs((whole - band_weights(300.0, band, ends) @ passed(np.array(ends))) / (whole - exact) - 1)
-        assert off > 0.1
-        assert three.error > off
+        assert 0.1 < off < traced_wavelengths(scene, ends, band, [300.0]).error
 
     def test_unknown_there_and_bad_input(self, load: Load) -> None:
         glass = placed_xml("asphere", "lens", interface_xml("air", "N-BK7"), at=(0, 0, -5), semi_diameter=2.0)
         scene = load(glass, detector_xml())
         with refused(r"surface 'lens' at 8 µm: .*2500 nm.*"):
             thermal(scene, 293.0, BAND)
-        report = thermal(scene, 293.0, BAND, wavelengths_um=2.0, rays=1000, aim="none")
-        assert "outside the band" in report.notes[-1]
+        assert "outside the band" in thermal(scene, 293.0, BAND, wavelengths_um=2.0, rays=1000, aim="none").notes[-1]
         scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
-        pixel = {"pixel_um": 15.0, "bandwidth_hz": 500.0}
         each_refused(
             (lambda: thermal(scene, wavelengths_um=[9.0, 8.0], rays=1000), "give one or more in ascending order"),
-            (lambda: DetectorNoise(**pixel), "give detectivity, quantum_efficiency or both"),
-            (lambda: DetectorNoise(**pixel, quantum_efficiency=1.2), "quantum_efficiency is 1.2"),
+            (lambda: DetectorNoise(**PIXEL), "give detectivity, quantum_efficiency or both"),
+            (lambda: DetectorNoise(**PIXEL, quantum_efficiency=1.2), "quantum_efficiency is 1.2"),
         )

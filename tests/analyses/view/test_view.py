@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from analyses.explorer.chromium import needs_chromium, page
 from analyses.fake_trace import SHARES, paths_at, scatter_trace_at, trace_in_colours
 from analyses.view.view_scene import A4, CONIC, EXACT, FORMULAS, RADIUS, SCENE, RayTrace, tilted
 from matplotlib import colormaps
@@ -20,6 +21,7 @@ from refusals import each_refused, refused
 
 import mistray
 from mistray.analyses.view.controls import NO_LIGHT, FluxScale
+from mistray.analyses.view.drawing import LEGEND_LETTERS, legend_text
 from mistray.analyses.view.ray_files import read_rays, write_rays
 from mistray.toolkit.drawings import section_layout as layouts
 from mistray.toolkit.drawings.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
@@ -72,15 +74,14 @@ def test_surfaces_are_meshes_and_legend_rows_those_of_the_path_table(scene, show
         exact = [part for ray in trace.history(path_id, 5).rays for part in (ray, np.full((1, 3), np.nan))]
         np.testing.assert_array_equal(points(lines), np.concatenate(exact))
     # one row of the other legend for each role, which switches all of its surfaces, outlines and cut faces
-    roles = [drawn for drawn in shown.figure.data if drawn.showlegend and drawn.legend == "legend2"]
-    assert [drawn.name for drawn in roles] == ["glass", "mechanics", "detector"]
+    roles = [row.name for row in shown.figure.data if row.showlegend and row.legend == "legend2"]
+    assert roles == ["glass", "mechanics", "detector"]
     found = {name: mesh.legendgroup for name, mesh in meshes.items()}
     assert found == {**dict.fromkeys(meshes, "glass"), "stop_wall": "structure", "detector": "detector"}
-    text = of(shown.figure, "surface")["L1_front"].hovertemplate
+    text = meshes["L1_front"].hovertemplate
     assert "<b>L1_front</b>, part L1<br>glass air | 1.6" in text
     assert "incident 4.000 ± 0.010 W, 1 000 hits<br>absorbed 0.1000 ± 0.0010 W<br>" in text
-    ray = of(shown.figure, "path_id")[0].text
-    assert ray[1].startswith("window_front:T, ")
+    assert drawn[0].text[1].startswith("window_front:T, ")
     beside = RayTrace(paths_at(10.0), 10.0)
     beside.settings = {**trace.settings, "azimuth_deg": 90.0, "rays": 7}
     assert "field 10°, 10° at azimuth 90°, 550 nm, 1 000, 7 start rays" in view(scene, [trace, beside], rays=1).note
@@ -95,8 +96,7 @@ def test_colours_follow_the_flux(scene, trace):
     by_name = dict(zip([surface.name for surface in surfaces], scale.colours, strict=True))
     brightest = max(flux.values(), key=lambda row: row.incident_W).id
     assert by_name[brightest] == "#fde725"  # the upper end of viridis
-    figure = view(scene, trace, rays=1).figure
-    assert of(figure, "surface")[brightest].color == "#fde725"
+    assert of(view(scene, trace, rays=1).figure, "surface")[brightest].color == "#fde725"
     # Surfaces without light have a colour of their own
     rows = (SimpleNamespace(incident_W=value) for value in (0.0, 1.0, 1e-3, 1e-30, 1e-5, 0.0))
     scale = FluxScale(surfaces, dict(zip(by_name, rows, strict=True)), "incident")
@@ -118,12 +118,9 @@ def test_cut_glass_has_faces_and_a_rare_path_says_so(scene):
     figure = view(scene).figure
     (face,) = [drawn for drawn in figure.data if "face" in (drawn.meta or {})]
     assert np.abs(face.x).max() == 0.0
-    corners = points(face)[np.column_stack([face.i, face.j, face.k])]
-    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    half = 2.0
-    segment = 20.0**2 * np.arcsin(half / 20.0) - half * np.sqrt(20.0**2 - half**2)  # between arc and chord
-    sagitta = 20.0 - np.sqrt(20.0**2 - half**2)
-    assert areas.sum() == pytest.approx(2 * half * (1.0 - sagitta) + segment, rel=1e-4)
+    whole = area(points(face), np.column_stack([face.i, face.j, face.k]))
+    depth = np.sqrt(20.0**2 - 2.0**2)  # from the centre of curvature to the rim
+    assert whole == pytest.approx(2 * 2.0 * (depth - 19.0) + segment(20.0, depth), rel=1e-4)
     assert not [drawn for drawn in view(scene, cut_deg=40.0).figure.data if "face" in (drawn.meta or {})]
 
     class Rare(RayTrace):
@@ -141,11 +138,9 @@ def test_cut_glass_has_faces_and_a_rare_path_says_so(scene):
 
 def test_without_a_trace(scene, trace, tmp_path, monkeypatch):
     shown = view(scene)
-    assert not of(shown.figure, "path_id")
-    assert not of(shown.figure, "scale")
-    assert not shown.rays
-    assert of(shown.figure, "surface")["L1_front"].opacity < 1
-    assert of(shown.figure, "surface")["stop_wall"].opacity == 1
+    assert not any((of(shown.figure, "path_id"), of(shown.figure, "scale"), shown.rays))
+    meshes = of(shown.figure, "surface")
+    assert meshes["L1_front"].opacity < meshes["stop_wall"].opacity == 1
     wall = re.search('<shape type="frustum" id="stop_wall">.*?</shape>', SCENE, re.DOTALL).group()
     (tmp_path / "other.xml").write_text(SCENE.replace(wall, ""), encoding="utf-8")
     other = mistray.load(tmp_path / "other.xml")
@@ -195,6 +190,11 @@ def test_the_buttons_recolour_and_the_page_needs_no_network(shown, tmp_path):
     assert text.count(library[:2000]) == 1
 
 
+def segment(radius, distance):
+    """Area of a disc beyond a chord at a distance from its centre."""
+    return radius**2 * np.arccos(distance / radius) - distance * np.sqrt(radius**2 - distance**2)
+
+
 def area(vertices, faces):
     a, b, c = np.asarray(vertices, dtype=float)[np.asarray(faces)].transpose(1, 0, 2)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
@@ -211,8 +211,7 @@ def test_points_lie_on_the_surfaces_and_on_the_kept_side(scene, cut):
         if cut is not None:
             # a curved rectangle is lifted along its own axis, which lies in these planes
             assert cut.height(surface.vertices).max() < EXACT, name
-            on_plane = [line for line in surface.lines if np.abs(cut.height(line)).max() < EXACT]
-            assert on_plane, name
+            assert [line for line in surface.lines if np.abs(cut.height(line)).max() < EXACT], name
 
 
 def test_halves_have_the_area_of_the_whole(scene):
@@ -229,12 +228,10 @@ def test_halves_have_the_area_of_the_whole(scene):
     # A tube of radius 2 cut at x = 1: the arc that is left spans 240 degrees
     vertices, faces, lines = turned([[2.0, 0.0], [2.0, 5.0]], np.eye(4), 400, CutPlane(0.0, 1.0))
     assert area(vertices, faces) == pytest.approx(5.0 * 2.0 * np.radians(240.0), rel=1e-4)
-    ends = [line for line in lines if np.ptp(line[:, 2]) > 1.0]
-    corners = sorted(end[0, :2].tolist() for end in ends)
+    corners = sorted(line[0, :2].tolist() for line in lines if np.ptp(line[:, 2]) > 1.0)
     np.testing.assert_allclose(corners, [[1.0, -np.sqrt(3)], [1.0, np.sqrt(3)]], atol=1e-12)
     # A disc whose plane is not that of any ring of the cut: half of it is left whatever its tilt
-    matrix = tilted(25.0)
-    r = np.linspace(0.0, 3.0, 33)
+    matrix, r = tilted(25.0), np.linspace(0.0, 3.0, 33)
     vertices, faces, _ = turned(np.column_stack([r, 0.0 * r]), matrix, 200, CutPlane(180.0))
     assert area(vertices, faces) == pytest.approx(np.pi * 9.0 / 2, rel=1e-3)
     assert np.abs(vertices @ matrix[:3, 2]).max() < 1e-11
@@ -243,11 +240,6 @@ def test_halves_have_the_area_of_the_whole(scene):
 def shape_of(kind, place="", **numbers):
     values = "".join(f'<float name="{key}" value="{value}"/>' for key, value in numbers.items())
     return f'<shape type="{kind}" id="it">{values}{place}{interface_xml("air", "1.5")}</shape>'
-
-
-def segment(radius, distance):
-    """Area of a disc beyond a chord at a distance from its centre."""
-    return radius**2 * np.arccos(distance / radius) - distance * np.sqrt(radius**2 - distance**2)
 
 
 def test_what_is_left_of_a_surface_whose_vertex_is_gone(load_scene):
@@ -344,9 +336,8 @@ def test_a_layout_has_the_rays_of_the_history_and_the_rows_asked_for(trace, scen
     assert labels == ["0 direct image, 3 W", "1 detector → window_rear, 0.0002 W"]
     for path_id, handle in enumerate(handles):
         drawn = [line for line in axes.lines if line.get_color() == handle.get_color() and len(line.get_xdata())]
-        wanted = meridional(trace.history(path_id, layouts.CANDIDATES * 4).rays, 4)
         assert len(drawn) == 4
-        for line, ray in zip(drawn, wanted, strict=True):
+        for line, ray in zip(drawn, meridional(trace.history(path_id, layouts.CANDIDATES * 4).rays, 4), strict=True):
             np.testing.assert_array_equal(line.get_xydata(), ray[:, [2, 1]])
     labels = layout_figure(scene, trace, path_ids=[3, 0], rays=1).axes[0].get_legend_handles_labels()[1]
     assert [label.split()[0] for label in labels] == ["3", "0"]
@@ -365,8 +356,7 @@ def test_a_layout_has_the_rays_of_the_history_and_the_rows_asked_for(trace, scen
         by=lambda given, options: layout_figure(scene, given, **options),
     )
     # Text as text, so that a paper's own font and a search find it; the same file every time
-    path = write_layout(figure, tmp_path / "layout.svg")
-    text = path.read_text(encoding="utf-8")
+    text = write_layout(figure, tmp_path / "layout.svg").read_text(encoding="utf-8")
     assert "".join(ET.fromstring(text).itertext()).count("0 direct image, 3 W") == 1
     assert "<image" not in text
     again = write_layout(layout_figure(scene, trace, paths=2, rays=4), tmp_path / "again.svg")
@@ -405,8 +395,7 @@ def test_hits_lie_on_their_surfaces_and_pages_are_small():
     triplet = mistray.load("cooke_triplet")
     traced = mistray.trace(triplet, rays=2_000, field_deg=10.0, max_reflections=2, max_scatters=0)
     seen = mistray.view(triplet, traced, paths=3, rays=4)
-    surfaces = {shape.id(): shape for shape in triplet.shapes()}
-    met = set()
+    surfaces, met = {shape.id(): shape for shape in triplet.shapes()}, set()
     assert {ray.path_id for ray in seen.rays} == {0, 1, 2}
     for ray in seen.rays:
         assert ray.events == traced.paths[ray.path_id].events
@@ -456,12 +445,11 @@ def test_walls_are_coloured_by_the_irradiance_of_their_cells():
     buttons = {button.label: button.args for button in seen.figure.layout.updatemenus[1].buttons}
     assert list(buttons) == ["incident flux", "absorbed flux", "irradiance", "role"]
     for label, (values, bars, targets) in buttons.items():
+        cells = label == "irradiance"
         for k, visible in zip(targets, values["visible"], strict=True):
-            meta = data[k].meta
-            cells = label == "irradiance"
-            mapped = meta.get("surface") in traced.recorders["walls"].maps
-            assert visible == (cells if "wall" in meta else not (cells and mapped))
-        assert bars["coloraxis3.showscale"] == (label == "irradiance")
+            mapped = data[k].meta.get("surface") in maps
+            assert visible == (cells if "wall" in data[k].meta else not (cells and mapped))
+        assert bars["coloraxis3.showscale"] == cells
         if label == "incident flux":  # as it is seen at first
             assert [data[k].visible for k in targets] == list(values["visible"])
     cut = {one.meta["wall"]: one for one in data if "wall" in (one.meta or {})}["housing_wall"]
@@ -482,9 +470,7 @@ def test_rays_are_those_of_the_history(trace, rays):
     for ray, exact in zip(rays[3:6], trace.history(2, 3).rays, strict=True):
         np.testing.assert_array_equal(ray.points, exact)
     assert {ray.path_id for ray in rays_of_paths(trace, n=1)} == set(range(len(trace.paths)))
-    names = {row_name(row) for row in trace.paths}
-    ghost = next(row for row in trace.paths if row.ghost_2 == "window_rear")
-    assert {"0 direct image, 3 W", f"{ghost.path_id} detector → window_rear, 0.0002 W"} <= names
+    assert {"0 direct image, 3 W", "1 detector → window_rear, 0.0002 W"} <= {row_name(row) for row in trace.paths}
     labels = [row.label for row in scatter_trace_at(0.0).paths if row.kind == "single scatter"]
     assert labels.count("scatter at window_rear") == labels.count("window_rear:i") == 1
     assert len(set(labels)) == len(labels)
@@ -514,7 +500,7 @@ def test_ply_is_as_viewers_read_it(rays, tmp_path):
     lines = head.decode().splitlines()
     vertices = sum(len(ray.points) for ray in rays)
     at = lines.index(f"element vertex {vertices}")
-    assert lines[at + 1 : at + 4] == ["property double x", "property double y", "property double z"]
+    assert lines[at + 1 : at + 4] == [f"property double {axis}" for axis in "xyz"]
     at = lines.index(f"element edge {vertices - len(rays)}")
     assert lines[at + 1 :] == ["property int vertex1", "property int vertex2"]
     edges = np.frombuffer(body[-8 * (vertices - len(rays)) :], dtype="<i4").reshape(-1, 2)
@@ -555,3 +541,58 @@ def test_other_files_are_refused_in_one_line(ending, rays, tmp_path):
         path.write_text(json.dumps(data), encoding="utf-8")
         with refused("a ray of path 0 has 6 points and 5 fluxes"):
             read_rays(path)
+
+
+BOXES = """
+[".updatemenu-button", ".colorbar", ".legend", ".legend2"]
+  .flatMap((name) => [...document.querySelectorAll(`#view ${name}`)])
+  .map((part) => part.getBoundingClientRect()).filter((box) => box.width > 0)
+  .map(({ left, right, top, bottom }) => [left, right, top, bottom])
+"""
+LONG = "17 multiple scatter at third_barrel_wall_2, scatter at the_inner_retaining_ring_of_the_window, 550 nm, 1e-05 W"
+COLOURS = "[plot._fullLayout.paper_bgcolor, plot._fullLayout.font.color, plot.data.at(-1).line.color]"
+
+
+@pytest.mark.long
+@needs_chromium
+@pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1100, "light"), (1280, "dark")])
+def test_parts_of_a_view_lie_apart(width, scheme, tmp_path):
+    """Down to a telephone, light and dark: nothing lies upon another thing or is cut off."""
+    scene = mistray.load("plate")
+    seen = mistray.view(scene, mistray.trace(scene, field_deg=5, rays=2000), title="plate")
+    seen.figure.data[-1].update(name=legend_text(LONG), line={"color": "#000000"})
+    file = seen.write(tmp_path / "view.html", "mistray view plate")
+    with page(tmp_path / "profile") as shown:
+        shown.like(scheme)
+        shown.open(file.as_uri(), width, 844)
+        shown.until("document.querySelector('#view .legend')")
+        shown.run("new Promise((done) => setTimeout(done, 1000))")
+        assert shown.run("document.documentElement.scrollWidth") <= width
+        boxes = shown.run(BOXES)
+        assert len(boxes) > 6
+        for k, (left, right, top, bottom) in enumerate(boxes):
+            assert -2 <= left < right <= width + 2
+            for west, east, north, south in boxes[k + 1 :]:
+                assert right <= west + 2 or east <= left + 2 or bottom <= north + 2 or south <= top + 2
+        assert shown.run("plot._fullLayout._size.w") > 0.6 * width
+        light = ["white", "#2a3f5f", "#000000"]
+        assert (shown.run(COLOURS) == light) == (scheme == "light")
+        assert shown.is_white() == (scheme == "light")
+        assert shown.violations() == []
+        # The page follows a change of the colours, there and back
+        shown.like("light")
+        shown.run("new Promise((done) => setTimeout(done, 500))")
+        assert shown.run(COLOURS) == light
+        assert shown.errors == []
+
+
+def test_names_of_a_legend_break():
+    assert legend_text("0 direct image, 3 W") == "0 direct image, 3 W"
+    lines = legend_text(LONG).split("<br>")
+    assert (len(lines), lines[0]) == (3, "17 multiple scatter at")
+    assert lines[2].startswith("…")
+    assert lines[2].endswith("_of_the_window, 550 nm, 1e-05 W")
+    assert max(map(len, lines)) <= LEGEND_LETTERS
+    assert legend_text("<a> & b") == "&lt;a&gt; &amp; b"
+    for letters in (100, 200):
+        assert max(map(len, legend_text("x" * letters).split("<br>"))) == LEGEND_LETTERS
