@@ -33,14 +33,12 @@ class TestAgainstMonteCarlo:
     TEXT = scenes.lenses_text(bsdf_xml("abg", A=0.02, B=0.05, g=2.0), wall=scenes.wall_xml(0.3))
 
     @pytest.fixture(scope="class", params=LIMITS)
-    @staticmethod
-    def oracle(request: pytest.FixtureRequest) -> tuple[str, scatter.Books]:
-        text = TestAgainstMonteCarlo.TEXT
-        model = scene_xml.parse_scene(text)
+    @classmethod
+    def oracle(cls, request: pytest.FixtureRequest) -> tuple[str, scatter.Books]:
+        model, models = scene_xml.parse_scene(cls.TEXT), scatter.scatter_models(cls.TEXT)
         beam = beams.collimated(model.emitters[0], 8_000, beams.start_distance(model, model.emitters[0]))
-        models = scatter.scatter_models(text)
-        limits = LIMITS[request.param]
-        return request.param, scatter.trace(model, models, beam.origin, beam.direction, beam.power, 550.0, **limits)
+        start, limits = (beam.origin, beam.direction, beam.power), LIMITS[request.param]
+        return request.param, scatter.trace(model, models, *start, 550.0, **limits)
 
     @pytest.mark.parametrize("mode", MODES)
     def test_paths_and_books(self, load_scene, oracle: tuple[str, scatter.Books], mode: str) -> None:

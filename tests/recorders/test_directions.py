@@ -205,8 +205,7 @@ def test_negative_field_angles_are_at_the_opposite_azimuth() -> None:
     again = DirectionGrid.from_facts(json.loads(json.dumps(grid.facts())))
     for key in ("field_deg", "edges_deg", "azimuths_deg", "rotation"):
         np.testing.assert_array_equal(getattr(again, key), getattr(grid, key))
-    assert again.azimuth_cell_deg == grid.azimuth_cell_deg
-    assert again.facts() == grid.facts()
+    assert (again.azimuth_cell_deg, again.facts()) == (grid.azimuth_cell_deg, grid.facts())
 
 
 def screen_text(f: float, radius: float) -> str:
