@@ -321,8 +321,7 @@ def test_what_is_new_and_its_share_of_the_stray_light() -> None:
     (one,) = light(front=4.0, L3=1.0, direct=3.0).since(light(front=4.0, direct=3.0))
     assert (one.share, one.of_before) == pytest.approx((0.5, 1.0))
     both = light(front=1.0, L3=2.0).plus(light(front=3.0))  # independent traces add up
-    assert both.power == {"front": 4.0, "L3": 2.0}
-    assert both.variance["front"] == pytest.approx(0.01**2 * (1 + 9))
+    assert (both.power, both.variance["front"]) == ({"front": 4.0, "L3": 2.0}, pytest.approx(0.01**2 * (1 + 9)))
     assert both.strongest == {"front": 3.0, "L3": 2.0}
     # There is no gain above a percent; but little light left of much is one, all that is left being new
     assert not spoils(())

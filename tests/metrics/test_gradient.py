@@ -86,14 +86,13 @@ class TestClosedForms:
         """Beyond the critical angle an ideal coating reflects R + T: both derivatives are the same."""
         wide = {"half_width": 20.0, "half_height": 20.0}
         inside = interface_xml("1.7", "air", R=0.1, T=0.6)
-        scene = load_scene(
-            scene_text(
-                shape_xml("asphere", "entrance", 0.0, interface_xml("air", "1.7", R=0.0, T=1.0), semi_diameter=20.0),
-                turned(shape_xml("asphere", "face", 20.0, inside, half_width=30.0, half_height=30.0), 45),
-                turned(shape_xml("asphere", "detector", 20.0, sensor=True, **wide), 90, SIDE),
-                turned(shape_xml("asphere", "other", 20.0, **wide), 90, -SIDE),
-            )
+        shapes = (
+            shape_xml("asphere", "entrance", 0.0, interface_xml("air", "1.7", R=0.0, T=1.0), semi_diameter=20.0),
+            turned(shape_xml("asphere", "face", 20.0, inside, half_width=30.0, half_height=30.0), 45),
+            turned(shape_xml("asphere", "detector", 20.0, sensor=True, **wide), 90, SIDE),
+            turned(shape_xml("asphere", "other", 20.0, **wide), 90, -SIDE),
         )
+        scene = load_scene(scene_text(*shapes))
         g = gradient(path_power(scene, "all", rays=64), mi.traverse(scene))
         assert g.value == pytest.approx(0.7, rel=1e-6)
         for name in "RT":

@@ -115,8 +115,7 @@ def test_a_baffle_without_light_of_one_scatter() -> None:
     assert found.stray[0] == pytest.approx(twice.stray[0], rel=1e-12) != pytest.approx(once.stray[0])
     scatter, reflection = found.next_orders
     assert (scatter.limit, scatter.taken, scatter.before[0]) == ("max_scatters", True, once.stray[0])
-    assert (reflection.limit, reflection.taken) == ("max_reflections", False)
-    assert once.next_orders == ()
+    assert ((reflection.limit, reflection.taken), once.next_orders) == (("max_reflections", False), ())
 
 
 @pytest.mark.parametrize(("trace", "more"), [({"max_reflections": 1}, HALF**2), ({}, 0.0)])

@@ -227,8 +227,7 @@ def test_light_that_arrives_by_chance_gets_more_rays() -> None:
     brings = np.where(points[:, 0] < 0.5, 1.0, np.where(rng.random(len(points)) < 0.01, 100.0, 0.0))
     learned = StartMap.of(1, even(points[brings > 0], brings=brings[brings > 0]))
     root = learned.root[0]
-    assert learned.axis[root] == 0
-    assert learned.low[root] == pytest.approx((1 / 11 + 1 / 2) / 2, abs=0.01)
+    assert (learned.axis[root], learned.low[root]) == (0, pytest.approx((1 / 11 + 1 / 2) / 2, abs=0.01))
 
 
 def test_cells_lend_what_they_have_met() -> None:

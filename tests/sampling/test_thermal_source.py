@@ -416,8 +416,7 @@ class TestTM25:
         file.write_bytes(tm25(rows, (1, 1, 1, 1, 0, 1, 0, 0), spectrum=2, names=("chip",), text="of the bench"))
         found = read_ray_set(file)
         assert found.flux_W.tolist() == [1.0, 3.0]  # the header states no total
-        assert found.wavelength_nm.tolist() == [450.0, 650.0]
-        assert found.directions[1].tolist() == [0, 0, -1]
+        assert (found.wavelength_nm.tolist(), found.directions[1].tolist()) == ([450.0, 650.0], [0, 0, -1])
         # 337 lm that are 0.694 W; without the watts, only with the power of all
         rows = [[0, 0, 0, 0, 0, 1, 1.0], [1, 0, 0, 0, 0, 1, 3.0]]
         flags = (1, 1, 0, 0, 1, 0, 0, 0)

@@ -322,8 +322,7 @@ def assert_same(a: Any, b: Any) -> None:
         assert y.rms_radius_mm == pytest.approx(x.rms_radius_mm, rel=1e-7, abs=1e-7)
     surfaces = [{row.id: (row.hits, row.part, row.space) for row in t.surfaces} for t in (a, b)]
     assert surfaces[0] == surfaces[1]
-    assert b.energy.escaped_W == pytest.approx(a.energy.escaped_W, rel=1e-12)
-    assert b.segments == a.segments
+    assert (b.energy.escaped_W, b.segments) == (pytest.approx(a.energy.escaped_W, rel=1e-12), a.segments)
     np.testing.assert_allclose(b.irradiance, a.irradiance, rtol=1e-9, atol=1e-12 * a.irradiance.max())
 
 
@@ -404,8 +403,7 @@ class TestPasses:
         whole = mistray.trace(scene, rays=1030)
         monkeypatch.setattr(tracer, "PASS_LANES", lanes)
         cut = mistray.trace(scene, rays=1030)
-        assert rows(whole) == rows(cut)
-        assert cut.energy.detected_W == pytest.approx(whole.energy.detected_W, rel=1e-12)
+        assert (rows(whole), cut.energy.detected_W) == (rows(cut), pytest.approx(whole.energy.detected_W, rel=1e-12))
         assert cut.energy.detected_se_W < 1e-7 * cut.energy.detected_W
         assert cut.segments == whole.segments
 

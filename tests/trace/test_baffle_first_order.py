@@ -20,14 +20,10 @@ def system(tube, without=()):
     stages = (tube,) if hasattr(tube, "vanes") else (tube.outer, tube.inner)
     shapes = tube.structures(coating=Coating(R=0.0), scatter=(Scatter("paint", {"reflectance": 0.3}, name="grey"),))
     assert not (set(without) - {shape.name for shape in shapes})
-    front, rear = stages[0], stages[-1]
-    return Prescription(
-        name="tube",
-        surfaces=(),
-        structures=tuple(shape for shape in shapes if shape.name not in without),
-        detector=Detector(z=rear.z_rear, semi_diameter=rear.optic_radius, pixels=(8, 8)),
-        source=Source(radius=front.vanes[0].radius, z=front.z_front, plane="axis"),
-    )
+    kept, front, rear = tuple(shape for shape in shapes if shape.name not in without), stages[0], stages[-1]
+    detector = Detector(z=rear.z_rear, semi_diameter=rear.optic_radius, pixels=(8, 8))
+    source = Source(radius=front.vanes[0].radius, z=front.z_front, plane="axis")
+    return Prescription(name="tube", surfaces=(), structures=kept, detector=detector, source=source)
 
 
 def scattered(prescription, field_deg, scatters=1, rays=20_000):

@@ -108,8 +108,7 @@ def test_ten_ghosts_of_a_lens_a_window_and_a_detector() -> None:
     ghosts = {(names.index(row.ghost_2) + 1, names.index(row.ghost_1) + 1): row for row in t.paths if row.order == 2}
     pair = ["second_reflecting_surface", "first_reflecting_surface"]
     table = vectors.frame("ghost_lens_window_det.csv").set_index(pair).to_dict("index")
-    assert set(ghosts) == set(table)
-    assert [row.rays for row in t.paths] == [60_000] * 11
+    assert (set(ghosts), [row.rays for row in t.paths]) == (set(table), [60_000] * 11)
     # A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3
     for pair, row in ghosts.items():
         assert_power(f"ghost {pair}", row.incident_W / t.energy.launched_W, table[pair]["incident_power_per_W"])

@@ -274,8 +274,7 @@ def test_printed_names_mean_their_rows_also_within_a_filter(traced) -> None:
     names = {row.label for row in traced.paths if row.label.startswith("detector → w")}
     with pytest.warns(mistray.MistrayWarning, match=f"means {len(names)} paths together") as told:
         rows = traced.paths.select("detector -> w*")
-    assert {row.label for row in rows} == names
-    assert [one.message.code for one in told] == ["several-paths"]
+    assert ({row.label for row in rows}, [one.message.code for one in told]) == (names, ["several-paths"])
     label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
     first, last = label.split(" → ")
     with pytest.warns(mistray.MistrayWarning, match=f"did you mean '{label}'") as told:
@@ -392,11 +391,9 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light() -> None:
         for nm, numbers in ((450.0, (1, 2)), (650.0, (3, 7)))
     ]  # fmt: skip
     rows = path_table(runs).by_way()
-    assert sorted(rows.wavelength_nm) == [450.0, 650.0]
-    assert [len(ids) for ids in rows.path_ids] == [2, 2]
+    assert (sorted(rows.wavelength_nm), [len(ids) for ids in rows.path_ids]) == ([450.0, 650.0], [2, 2])
     assert [row.path_id for row in table] == list(range(len(ENTRIES)))
-    assert table[-1] == table[len(ENTRIES) - 1]
-    assert table[2:4] == [table[2], table[3]]
+    assert (table[-1], table[2:4]) == (table[len(ENTRIES) - 1], [table[2], table[3]])
     assert table[0].event_list == [("L1_front", "SpecTran"), ("L1_rear", "SpecTran"), ("detector", "Absorbed")]
     assert next(row for row in table if row.path == "TjA").event_list[1] == ("barrel", "ImpRefl")
     with pytest.raises(IndexError, match="row 8 of a table of 8 paths"):
@@ -432,8 +429,7 @@ def test_the_error_of_a_sum() -> None:
     table = table_of(lists, hits, unit=1.0, rays=10_000_000)
     power, se = table.power(range(len(lists)))
     assert se == pytest.approx(np.sqrt(np.sum(hits.flux**2)), rel=5 / np.sqrt(62))
-    assert table.power([]) == (0.0, 0.0)
-    assert table.power([7]) == (table[7].power_W, table[7].power_se_W)
+    assert (table.power([]), table.power([7])) == ((0.0, 0.0), (table[7].power_W, table[7].power_se_W))
     assert power == pytest.approx(hits.flux.sum(), rel=1e-12)
     # 100 start rays scatter ten rays each, which land: by hits the error would be sqrt(10) too small; alarm < 1e-6
     rng = np.random.default_rng(5)
@@ -442,5 +438,4 @@ def test_the_error_of_a_sum() -> None:
     events = encode(["barrel:j detector:A"], list(LEDGER))
     run = fake_run(LEDGER, decoded(*events, hit_sums(batch, one, one, one)[None]), 1.0)
     (row,) = path_table([run])
-    assert row.rays == 1000
-    assert row.power_se_W == pytest.approx(10 * np.sqrt(100), rel=5 / np.sqrt(62))
+    assert (row.rays, row.power_se_W) == (1000, pytest.approx(10 * np.sqrt(100), rel=5 / np.sqrt(62)))
