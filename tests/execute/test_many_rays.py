@@ -1,4 +1,4 @@
-"""Start rays up to 4.29e9: no precision is lost in sums, memory does not grow, and the time is that of the device."""
+"""Start rays up to 4.29e9: sums keep their precision, memory does not grow; lanes that take one after the other."""
 
 import gc
 import itertools
@@ -17,8 +17,10 @@ from oracles import closed_forms
 
 import mistray
 from mistray.execute import launching, tracer
-from mistray.execute.tracer import PASS_LANES, Run, prepare
+from mistray.execute.tracer import PASS_LANES, prepare
 from mistray.kernel.launches import Launches
+from mistray.kernel.start_supply import StartSupply
+from mistray.recorders import Recorder, Visit
 from mistray.recorders.film import Images
 from mistray.recorders.ledger import Ledger
 from mistray.recorders.tallies import SURFACE_SUMS, Tallies
@@ -56,8 +58,7 @@ def traced(rays: int) -> dict:
 def test_a_hundred_million_rays() -> None:
     """A float32 sum of 1e8 equal terms would end at 2^24 of them; a pass has 2^20 rays: from four on, memory stays."""
     few, some, many = traced(1_000), traced(4_000_000), traced(100_000_000)
-    assert many["hits"] == [100_000_000, 100_000_000]
-    assert many["segments"] == 800_000_000
+    assert (many["hits"], many["segments"]) == ([100_000_000, 100_000_000], 800_000_000)
     for what in ("detected", "escaped"):
         assert many[what] == pytest.approx(few[what], rel=1e-12)
     assert many["detected"] / many["launched"] == pytest.approx(closed_forms.plate_orders(0.04, 2).sum(), rel=1e-7)
@@ -95,14 +96,9 @@ def test_a_pass_takes_no_more_memory_than_the_one_before(monkeypatch: pytest.Mon
         gc.enable()
 
 
-@pytest.fixture
-def run() -> Run:
-    (run,) = prepare(mistray.load("plate"), Settings(rays=MOST_RAYS))
-    return run
-
-
-def test_sums_and_numbers_of_the_last_rays(run: Run) -> None:
+def test_sums_and_numbers_of_the_last_rays() -> None:
     """The last ray has the number 2³² - 2, its own random numbers, and is found again by its number."""
+    (run,) = prepare(mistray.load("plate"), Settings(rays=MOST_RAYS))
     assert run.passes == 4096
     first, last = run.start_pass(0), run.start_pass(run.passes - 1)
     lanes = np.array(last.lane)
@@ -156,3 +152,61 @@ def test_seconds_are_those_of_the_device(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(launching, "trace_tree", trace_tree)
     assert 0 < mistray.trace(mistray.load("cooke_triplet"), rays=100).seconds < 0.5
+
+
+ROUNDING = {"rtol": 1e-9, "atol": 0.0}  # of sums whose terms come in another order
+
+CASES: dict[str, dict[str, Any]] = {
+    "baffle_tube": {"field_deg": 3, "max_scatters": 3},
+    "phone_camera_scatter": {"field_deg": 40, "max_scatters": 2, "rays": 500},
+    "plate_and_wall": {"field_deg": 20, "max_segments": 40},  # trees are cut off
+}
+
+
+def let_lanes_take_several(several: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(StartSupply, "pays", staticmethod(lambda *_: several))
+
+
+@pytest.mark.parametrize("scene", CASES)
+def test_a_trace_is_the_same(scene: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for several in (False, True):
+        let_lanes_take_several(several, monkeypatch)
+        t = mistray.trace(mistray.load(scene), **{"rays": 20_000, **CASES[scene]})
+        energy, rows = t.energy, sorted(t.paths, key=lambda row: row.path_id)
+        losses = [energy.launched_W, energy.escaped_W, *energy.cut.values()]
+        found.append(np.array([*losses, *(v for row in rows for v in (row.power_W, row.power_se_W))]))
+    assert len(found[0]) > 20
+    np.testing.assert_allclose(*found, **ROUNDING)
+
+
+def test_a_pst_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for several in (False, True):
+        let_lanes_take_several(several, monkeypatch)
+        pst = mistray.pst(mistray.load("baffle_tube"), [0, 15, 40], rays=20_000, max_scatters=3)
+        found.append(np.array([pst.value, pst.standard_error, pst.stray]))
+    np.testing.assert_allclose(*found, **ROUNDING)
+
+
+class RayNumbers(Recorder):
+    def attach(self, scene: Any) -> None:
+        self.most = dr.zeros(mi.UInt32, 1)
+        self.least = dr.full(mi.UInt32, 1 << 31, 1)
+        dr.eval(self.most, self.least)
+
+    def begin(self, start: Any, max_events: int, memory: dict[str, Any]) -> None:
+        memory["lane"] = start.lane + 0
+
+    def visit(self, visit: Visit, memory: dict[str, Any]) -> None:
+        dr.scatter_reduce(dr.ReduceOp.Max, self.most, memory["lane"], mi.UInt32(0), visit.active)
+        astray = visit.active & (memory["lane"] != visit.start.lane)
+        dr.scatter_reduce(dr.ReduceOp.Min, self.least, memory["lane"], mi.UInt32(0), astray)
+
+
+def test_a_recorder_may_remember_the_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    let_lanes_take_several(True, monkeypatch)
+    recorder = RayNumbers()
+    mistray.trace(mistray.load("plate_and_wall"), rays=200_000, field_deg=20, recorders=[recorder])
+    assert int(recorder.most[0]) > 199_000
+    assert int(recorder.least[0]) == 1 << 31

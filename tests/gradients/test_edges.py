@@ -247,16 +247,6 @@ class TestPortions:
 TUBE, HOLE, VANE, LENGTH, HALF, ALBEDO = 15.0, 6.0, 20.0, 40.0, 5.0, 0.6
 
 
-def baffle_text() -> str:
-    """A Lambertian tube with a vane, and a detector of radius `HALF` in its black rear end; light comes in at z = 0."""
-    return scene_text(
-        shape_xml("frustum", "tube", 0.0, wall_xml(ALBEDO), r0=TUBE, z0=0.0, r1=TUBE, z1=LENGTH),
-        shape_xml("frustum", "vane", VANE, r0=HOLE, z0=0.0, r1=TUBE, z1=0.0),
-        shape_xml("frustum", "detector", LENGTH, sensor=True, r0=0.0, z0=0.0, r1=HALF, z1=0.0),
-        shape_xml("frustum", "end", LENGTH, r0=HALF, z0=0.0, r1=TUBE, z1=0.0),
-    )
-
-
 def leaving(scene: Any, keys: list[str], scatters: int, light: str) -> tuple[Parts, np.ndarray, np.ndarray]:
     """Of the light that goes out from the detector, the share that gets to the sky: derivatives, value and error."""
     traced = {"rays": 1_000_000, "max_scatters": scatters, "method": "adjoint", "cell_deg": 90.0}
@@ -269,8 +259,14 @@ class TestAgainstTheLight:
     """2π sr of sky lie before a detector; π times its share is the integral of the PST over them."""
 
     def test_direct_edge_sampling(self, load_scene) -> None:
-        """Black vane, one scatter event, against the integral along its rim."""
-        found, *_ = leaving(load_scene(baffle_text()), ["vane.r0", "vane.z"], 1, "single_scatter")
+        """Black vane in a Lambertian tube with a black end, one scatter event, against the integral along its rim."""
+        text = scene_text(
+            shape_xml("frustum", "tube", 0.0, wall_xml(ALBEDO), r0=TUBE, z0=0.0, r1=TUBE, z1=LENGTH),
+            shape_xml("frustum", "vane", VANE, r0=HOLE, z0=0.0, r1=TUBE, z1=0.0),
+            shape_xml("frustum", "detector", LENGTH, sensor=True, r0=0.0, z0=0.0, r1=HALF, z1=0.0),
+            shape_xml("frustum", "end", LENGTH, r0=HALF, z0=0.0, r1=TUBE, z1=0.0),
+        )
+        found, *_ = leaving(load_scene(text), ["vane.r0", "vane.z"], 1, "single_scatter")
         radius, move = integral_along_the_rim(2_000_000)
         check("radius of the hole", found["vane.r0"], *radius)
         value, se = sums(found["vane.z"])

@@ -1,7 +1,6 @@
 """A derivative of each kind beside differences; the replay in float32: any size, turns, portions of rays."""
 
 import math
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,13 +9,14 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from lit_detector import BLACK, lit, square
-from oracles.scatter_scenes import bsdf_xml, scattering_xml
-from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
+from oracles.scatter_scenes import beam_xml, bsdf_xml, scatter_scene, scattering_xml
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray import pst
 from mistray.events import KINDS, event_of, stays
 from mistray.gradients.recorded_rays import ROOM, Portions
+from mistray.metrics.scene_values import changed
 from mistray.optimize import Metric, parameters, path_power, rms_spot
 
 ORDERS = range(4, 21, 2)
@@ -37,10 +37,7 @@ def lens(size: float) -> str:
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_a_scaled_lens(load_scene, size: float) -> None:
-    """Derivatives scale with the size as their parameters do, although r²⁰ and a₂₀ leave the range of float32.
-
-    A lens of another size has the same numbers without units. In 1.0 mm and 1 m the largest is 1e57.
-    """
+    """Derivatives scale with the size as their parameters do, although r²⁰ and a₂₀ leave the range of float32."""
     found = []
     for scale in (1.0, size):
         scene, area = load_scene(lens(scale)), scale**2
@@ -103,48 +100,29 @@ SHAPES = (
               radius=-50.0, semi_diameter=10.0),
     shape_xml("asphere", "detector", 48.0, sensor=True, half_width=30.0, half_height=30.0),
 )  # fmt: skip
-BEAM = """<emitter type="collimated" id="lamp"> <float name="radius" value="6"/>
-        <transform name="to_world"> <translate z="-20"/> </transform> </emitter>"""
+BEAM = beam_xml(6.0, at=(0.0, 0.0, -20.0))
 LAMP = """<emitter type="point_source" id="lamp"> <float name="z" value="-150"/>
         <float name="half_angle_deg" value="4"/> </emitter>"""
 # A glass is on both sides of it: its index moves as one
 TOGETHER = {"front.bsdf.n_back_shift": ("front.bsdf.n_back_shift", "rear.bsdf.n_front_shift")}
 # Key → step of the central difference
 OF_POWER = {"front.bsdf.coating.thickness_nm": 1.0, "rear.bsdf.T": 0.01, "rear.bsdf.abg.A": 1e-4}
-OF_SPOT = {
-    "front.curvature": 1e-4,
-    "front.conic": 0.05,
-    "rear.a4": 1e-6,
-    "rear.z": 0.02,
-    "front.tilt_x": 0.1,
-    "front.bsdf.n_back_shift": 1e-3,
-}
+OF_SPOT = {"front.curvature": 1e-4, "front.conic": 0.05, "rear.a4": 1e-6, "rear.z": 0.02}
+OF_SPOT |= {"front.tilt_x": 0.1, "front.bsdf.n_back_shift": 1e-3}
 AT_EDGES = ("stop.r0", "lamp.z")
 SURE = 4.5  # standard errors: a false alarm in 1.5e5 runs for each number
 
 
-def scene(folder: Path, light: str) -> Any:
-    text = f'<scene version="3.0.0"><integrator type="straylight"/>{light}{"".join(SHAPES)}</scene>'
-    return mistray.load(write(folder, text))
-
-
 def moved(metric: Any, params: Any, keys: tuple[str, ...], by: float) -> float:
-    before = {key: mi.Float(params[key]) for key in keys}
-    for key, value in before.items():
-        params[key] = value + by
-    params.update()
-    found = float(metric.value())
-    for key, value in before.items():
-        params[key] = value
-    params.update()
-    return found
+    with changed(params, {key: np.array(params[key]) + by for key in keys}):
+        return float(metric.value())
 
 
 @pytest.mark.core
 @pytest.mark.parametrize("of", ["power", "spot"])
-def test_differences(tmp_path: Path, of: str) -> None:
+def test_differences(load_scene, of: str) -> None:
     """Within 0.2 %: the rays are the same, and the metric is bent over the step."""
-    lens = scene(tmp_path, BEAM)
+    lens = load_scene(scatter_scene(BEAM, *SHAPES))
     params, steps = mi.traverse(lens), OF_POWER if of == "power" else OF_SPOT
     light = {"rays": 1000, "field_deg": 2.0, "max_scatters": 1}
     metric = path_power(lens, "direct", **light) if of == "power" else rms_spot(lens, **light)
@@ -156,9 +134,9 @@ def test_differences(tmp_path: Path, of: str) -> None:
 
 
 @pytest.mark.core
-def test_rims_and_sources(tmp_path: Path) -> None:
+def test_rims_and_sources(load_scene) -> None:
     """Light of a lamp at a distance d through a hole of radius r goes with the solid angle 2π (1 - d/√(d² + r²))."""
-    lens = scene(tmp_path, LAMP)
+    lens = load_scene(scatter_scene(LAMP, *SHAPES))
     found = mistray.gradient(path_power(lens, "direct", rays=4000, field_deg=0.0), mi.traverse(lens), keys=AT_EDGES)
     d, r = 149.0, 4.0
     slant = math.hypot(d, r)
@@ -170,8 +148,8 @@ def test_rims_and_sources(tmp_path: Path) -> None:
         assert 0 < se < abs(0.3 * found.value * expected), key
 
 
-def test_no_kind_is_left_out(tmp_path: Path) -> None:
-    known = parameters(scene(tmp_path, LAMP))
+def test_no_kind_is_left_out(load_scene) -> None:
+    known = parameters(load_scene(scatter_scene(LAMP, *SHAPES)))
     tested = {known[key].kind for key in (*OF_POWER, *OF_SPOT, *AT_EDGES)}
     assert tested == {each.kind for each in known.values()}
     assert len(tested) == 11

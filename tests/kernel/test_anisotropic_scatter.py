@@ -12,17 +12,12 @@ from oracles import brushed
 from oracles.statistics import assert_z
 
 import mistray
+from mistray.metrics.scene_values import changed
 
 T = mi.ScalarTransform4f
 FLAT, TWO_FOLD = 0.1, 0.06  # of the two-fold table, a + b cos 2(φ - ρ)
 PLATE = {"type": "asphere", "semi_diameter": 5.0}
 FRONT_NORMAL = np.array([0.0, 0.0, -1.0])
-
-
-@pytest.fixture(scope="module")
-def two_fold(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    file = brushed.write_two_fold(tmp_path_factory.mktemp("bsdf") / "two.csv", FLAT, TWO_FOLD)
-    return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
 
 
 @pytest.fixture(scope="module")
@@ -120,21 +115,21 @@ class TestClosedForms:
         assert e.absorbed["plate"][0] / e.launched_W == pytest.approx(1 - tis, abs=7e-3 * tis)
         assert abs(e.closure) < 1e-6
 
-    def test_meridian_and_lathe_turned_tube(self, two_fold: dict[str, Any]) -> None:
+    def test_meridian_and_lathe_turned_tube(self, tmp_path: Path) -> None:
         """On a turned plate the axis points away from the middle, here to a spot aside."""
-        turned = two_fold | {"sample_axis": "meridian", "rotation_deg": 15.0}
+        file = brushed.write_two_fold(tmp_path / "two.csv", FLAT, TWO_FOLD)
+        model = {"type": "tabulated", "file": str(file), "anisotropy": "keep", "sample_axis": "meridian"}
         at = np.array([3.0, 1.5, 0.0])
         beside = PLATE | {"to_world": T().translate((-at).tolist())}
-        found, se = power(scene(turned, towards(40.0, 100.0), plate=beside), rays=2_000, max_reflections=0)
+        turned = scene(model | {"rotation_deg": 15.0}, towards(40.0, 100.0), plate=beside)
+        found, se = power(turned, rays=2_000, max_reflections=0)
         axis = np.degrees(np.arctan2(at[1], at[0])) + 15.0
         exact = small_detector(FLAT + TWO_FOLD * np.cos(2 * np.radians(100.0 - axis)), 40.0)
         assert_z("meridian", found, exact, se, k=4.0, floor=0.01 * exact)
         # A tube looks alike from all sides: a beam to its wall sends the same back, whatever its azimuth
         tube = {"type": "frustum", "r0": 10.0, "z0": -40.0, "r1": 10.0, "z1": 40.0}
-        found = []
+        found, end = [], np.array([0.0, 0.0, 1.0])
         for azimuth in (0.0, 70.0, 200.0):
-            model = two_fold | {"sample_axis": "meridian"}
-            end = np.array([0.0, 0.0, 1.0])
             given = scene(model, end, 50.0, azimuth, distance=30.0, radius=5.0, plate=tube, start=2.0)
             found.append(power(given, rays=20_000))
         values, errors = np.array(found).T
@@ -142,20 +137,16 @@ class TestClosedForms:
         assert_z("azimuths", values[1:], values[0], np.hypot(errors[1:], errors[0]), k=4.0)
 
 
-@pytest.mark.parametrize(
-    ("shape", "turned"),
-    [
-        (PLATE | {"radius": 12.0}, {"rotation_deg": 25.0}),
-        pytest.param(
-            {"type": "frustum", "r0": 0.0, "z0": 0.0, "r1": 5.0, "z1": 1.0},
-            {"sample_axis": "meridian", "rotation_deg": 40.0},
-            marks=pytest.mark.slow,
-        ),
-    ],
-    ids=["curved", "turned cone"],
-)
-def test_pst_by_both_directions(brdf: dict[str, Any], shape: dict[str, Any], turned: dict[str, Any]) -> None:
-    found = []
+CONE = {"type": "frustum", "r0": 0.0, "z0": 0.0, "r1": 5.0, "z1": 1.0}
+SAMPLES = {
+    "curved": (PLATE | {"radius": 12.0}, {"rotation_deg": 25.0}),
+    "turned cone": (CONE, {"sample_axis": "meridian", "rotation_deg": 40.0}),
+}
+
+
+@pytest.mark.parametrize("name", ["curved", pytest.param("turned cone", marks=pytest.mark.slow)])
+def test_pst_by_both_directions(brdf: dict[str, Any], name: str) -> None:
+    (shape, turned), found = SAMPLES[name], []
     for method, rays in (("adjoint", 3_000_000), ("forward", 60_000)):
         given = scene(brdf | turned, towards(35.0, 70.0), distance=12.0, radius=4.0, plate=shape, aim=False)
         cells = {"azimuths_deg": [0, 90, 180, 270], "cell_deg": 40.0, "azimuth_cell_deg": 90.0}
@@ -184,9 +175,6 @@ def test_gradient_by_tilts(tmp_path: Path) -> None:
     for key in keys:
         ends = []
         for step in (2.0, -2.0):
-            params[key] = mi.Float(step)
-            params.update()
-            ends.append(mistray.trace(given, **settings).energy.detected_W)
-            params[key] = mi.Float(0.0)
-            params.update()
+            with changed(params, {key: np.array([step])}):
+                ends.append(mistray.trace(given, **settings).energy.detected_W)
         assert float(np.ravel(gradient.gradient[key])[0]) == pytest.approx((ends[0] - ends[1]) / 4, abs=0.05 * scale)

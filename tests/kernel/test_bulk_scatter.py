@@ -83,13 +83,7 @@ def test_a_lamp_within_a_medium() -> None:
 @pytest.mark.long
 def test_a_lamp_far_away_within_a_medium() -> None:
     """Its light is weakened on all of its way, also by many diameters of the scene."""
-    front = {
-        "type": "interface",
-        "front": f"1.0+{5e-3 * 550e-6 / (4 * np.pi):.12g}i",
-        "back": "air",
-        "R": 0.0,
-        "T": 1.0,
-    }
+    front = {"type": "interface", "front": f"1.0+{5e-3 * 550e-6 / (4 * np.pi):.12g}i", "R": 0.0, "T": 1.0}
     scene = load(
         lamp={"type": "point_source", "z": -200.0, "half_angle_deg": 0.1},
         front={"type": "asphere", "semi_diameter": 1.0, "bsdf": front},
@@ -154,8 +148,7 @@ def test_thin_media_keep_their_digits(load_scene) -> None:
     row = max(trace.paths.find("(1.0_scatter=1e-7_g=0.95):t"), key=lambda row: row.power_W)
     (direct,) = (row for row in trace.paths if row.kind == "direct")
     assert row.power_W / direct.power_W == pytest.approx(1e-6, rel=0.1)  # float32: 1 - 1e-6 is rounded to 6e-8
-    assert row.kind == "single scatter"
-    assert row.scatter_1 == "(1.0_scatter=1e-7_g=0.95)"
+    assert (row.kind, row.scatter_1) == ("single scatter", "(1.0_scatter=1e-7_g=0.95)")
 
 
 def test_rays_turn_within_the_medium(load_scene) -> None:
@@ -165,8 +158,7 @@ def test_rays_turn_within_the_medium(load_scene) -> None:
     assert row.path == "TtTA"
     history = trace.history(row.path_id, 400).to_pandas()
     inside = history[history.surface.str.startswith("(")]
-    assert len(inside) == 400
-    assert set(inside.intercept) == {"RandTran"}
+    assert (len(inside), set(inside.intercept)) == (400, {"RandTran"})
     assert inside.z_mm.between(0, THICKNESS).all()
     # Density of the depth of the one event on the way to the far face; each ray counts with the flux that arrives
     arriving = history.groupby("ray").flux_W.last().to_numpy()

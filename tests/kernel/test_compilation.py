@@ -65,22 +65,29 @@ def scene(
 
 
 Case = tuple[str, dict[str, Any]]  # a scene, and arguments of its trace
+OF_THE_KERNEL = {"polarization": "stokes", "splitting": "one", "below_threshold": "roulette"}
+OF_THE_KERNEL |= {"aim": "none", "max_events": 50, "ledger": False}
+
+
+def scenes(*changes: dict[str, Any]) -> list[Case]:
+    return [(scene(**changed), {}) for changed in changes]
+
+
 NOTHING: dict[str, list[Case]] = {
-    "radius, conic constant, coefficients and rim of a surface": [
-        (scene(rear={"radius": -50.0}), {}),
-        (scene(front={"conic": 0.0}), {}),
-        (scene(front={"a4": 1.1e-5}), {}),
-        (scene(front={"semi_diameter": 3.9}), {}),
-    ],
+    "radius, conic constant, coefficients and rim of a surface": scenes(
+        {"rear": {"radius": -50.0}},
+        {"front": {"conic": 0.0}},
+        {"front": {"a4": 1.1e-5}},
+        {"front": {"semi_diameter": 3.9}},
+    ),
     "place along the axis, as long as the order stays": [(scene(at=(0, 0, 3.1), stop_at=5.5), {})],
     "radii and length of stops and walls": [(scene(stop={"r0": 2.9}, barrel={"r1": 5.2, "z1": 38.0}), {})],
     "index of a medium": [(scene(index="1.6"), {})],
     "materials, thicknesses and number of the layers of a stack": [(scene(stack=((1.38, 90.0), (2.1, 60.0))), {})],
     "R and T of an ideal coating": [(scene(coating={"R": 0.03, "T": 0.8}), {})],
-    "numbers of a scatter model, and one model in place of another": [
-        (scene(lobe={"A": 1e-3, "B": 1e-2, "g": 1.5}, paint=0.06), {}),
-        (scene(models=HARVEY), {}),
-    ],
+    "numbers of a scatter model, and one model in place of another": scenes(
+        {"lobe": {"A": 1e-3, "B": 1e-2, "g": 1.5}, "paint": 0.06}, {"models": HARVEY}
+    ),
     "size, power, angles and wavelengths of the source": [
         (scene(source={"radius": 2.5, "irradiance": 2.0}), {}),
         (scene(), {"field_deg": 5.0, "azimuth_deg": 30.0, "wavelength_nm": (450.0, 500.0, 600.0)}),
@@ -97,28 +104,19 @@ COMPILES: dict[str, list[Case]] = {
     "a surface that leaves the axis of others": [(scene(at=(0, 0.1, 3)), {}), (scene(facing=(0, 0.01, 1)), {})],
     "a curved surface that becomes plane": [(scene(rear={"radius": None}), {})],
     "a hole in a surface": [(scene(rear={"inner_semi_diameter": 0.5}), {})],
-    "a coefficient of an asphere that was 0, and the last that becomes 0": [
-        (scene(front={"a6": 1e-8}), {}),
-        (scene(front={"a4": 0.0}), {}),
-    ],
+    "a coefficient of an asphere that was 0, and the last that becomes 0": scenes(
+        {"front": {"a6": 1e-8}}, {"front": {"a4": 0.0}}
+    ),
     "a departure from the conic that takes a second step of Newton's method": [(scene(front={"a4": 1e-3}), {})],
-    "the first medium that absorbs, and the first that scatters": [
-        (scene(index="1.5+1e-6i"), {}),
-        (scene(index="1.5 scatter=0.01 g=0.5"), {}),
-    ],
+    "the first medium that absorbs, and the first that scatters": scenes(
+        {"index": "1.5+1e-6i"}, {"index": "1.5 scatter=0.01 g=0.5"}
+    ),
     "one more scatter model on a surface": [(scene(models=HARVEY + bsdf_xml("abg", **ORDINARY["lobe"])), {})],
     "no scatter": [(scene(), {"max_scatters": 0})],
     "a source of another kind, and a beam with a dark centre": [(scene(source={"inner_radius": 0.5}), {})],
     "pixels of the detector": [(scene(pixels=9), {})],
     "the first shape of Mitsuba's own": [(scene(SCREEN), {})],
-    "`polarization`, `splitting`, `below_threshold`, `aim`, `max_events`, `ledger`": [
-        (scene(), {"polarization": "stokes"}),
-        (scene(), {"splitting": "one"}),
-        (scene(), {"below_threshold": "roulette"}),
-        (scene(), {"aim": "none"}),
-        (scene(), {"max_events": 50}),
-        (scene(), {"ledger": False}),
-    ],
+    ", ".join(f"`{name}`" for name in OF_THE_KERNEL): [(scene(), {name: v}) for name, v in OF_THE_KERNEL.items()],
 }
 
 CALLS = itertools.count()

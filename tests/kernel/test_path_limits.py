@@ -106,8 +106,7 @@ def test_weak_hits_of_the_detector_count_nowhere(plate) -> None:
     settings = {"rays": 256, "flux_threshold": 0.0}
     weak, none = {"max_reflections": 6, "cut_below": "A=0.01", **settings}, {"max_reflections": 0, **settings}
     strong, alone = (mistray.trace(plate, **given) for given in (weak, none))
-    assert len(strong.paths) == 1
-    assert strong.irradiance.sum() == pytest.approx(alone.irradiance.sum(), rel=1e-5)
+    assert (len(strong.paths), strong.irradiance.sum()) == (1, pytest.approx(alone.irradiance.sum(), rel=1e-5))
     found, expected = (gradient(path_power(plate, "all", **given), mi.traverse(plate)) for given in (weak, none))
     assert found.value == pytest.approx(expected.value, rel=1e-6)
     for key, values in expected.gradient.items():
@@ -193,8 +192,7 @@ class TestLongPaths:
         settings = {"max_events": 1000, "scatter_threshold": 0.0, "aim": "none", "max_reflections": 0}
         t = mistray.trace(load_scene(sphere_text(1.0, 1e-6)), rays=64, max_scatters=300, ledger=False, **settings)
         assert 64 * 270 < t.segments <= 64 * 301
-        assert cut(t.energy, "max_scatters") == pytest.approx(1.0, rel=0.05)
-        assert t.energy.cut["max_events"] == 0
+        assert (cut(t.energy, "max_scatters"), t.energy.cut["max_events"]) == (pytest.approx(1.0, rel=0.05), 0)
 
 
 class TestScatter:
@@ -286,8 +284,7 @@ def two_media(outside: str, first: str, second: str, tilt_deg: float = 0.0) -> s
 def test_media_that_do_not_fit(load_scene) -> None:
     """A ray that meets glass 1.6 from glass 1.5 is lost to the books; tilted, as loading looks along common axes."""
     t = mistray.trace(load_scene(two_media("air", "1.5", "1.6", 3.0)), rays=100)
-    assert cut(t.energy, "medium") == pytest.approx(0.96, rel=1e-6)
-    assert len(t.paths) == 0
+    assert (cut(t.energy, "medium"), len(t.paths)) == (pytest.approx(0.96, rel=1e-6), 0)
     assert abs(t.energy.closure) < 1e-6
     for outside, *names in (("1.5", "air", "vacuum"), ("air", "1.5", "1.50"), ("air", "N-BK7", "n-bk7")):
         same = mistray.trace(load_scene(two_media(outside, *names)), rays=100).energy

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles.closed_forms import fresnel
 from oracles.polarized import transport
 from oracles.skew_path import Face, skew_path
 from oracles.small_scenes import plates_text
@@ -11,8 +12,6 @@ import mistray
 pytestmark = pytest.mark.quick
 
 TOTAL_45 = {"unpolarized": 0.9043267914588886, "stokes": 0.9073443298016289}
-C, COS_T = np.sqrt(0.5), np.sqrt(1 - 0.5 / 1.5**2)
-FRESNEL_45 = ((C - 1.5 * COS_T) / (C + 1.5 * COS_T)) ** 2, ((1.5 * C - COS_T) / (1.5 * C + COS_T)) ** 2
 
 
 class TestPlateAt45Degrees:
@@ -29,7 +28,7 @@ class TestPlateAt45Degrees:
         assert np.isnan(t.paths[0].polarization) == (polarization == "unpolarized")  # it does not pretend
         assert [row.order for row in t.paths[:3]] == [0, 2, 4]
         for row in t.paths[:3] if polarization == "stokes" else ():
-            s, p = ((1 - r) ** 2 * r**row.order for r in FRESNEL_45)
+            s, p = ((1 - r) ** 2 * r**row.order for r in fresnel(45.0, 1.5))
             assert row.power_W / t.energy.launched_W == pytest.approx((s + p) / 2, rel=3e-6)
             assert row.polarization == pytest.approx(abs(s - p) / (s + p), abs=3e-6)
             assert row.polarization_se < 1e-6

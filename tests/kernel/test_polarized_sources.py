@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 import vectors
 from lit_detector import BLACK, lit, square
+from oracles.closed_forms import fresnel
 from oracles.polarized import Hit, carry, ending, starting
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.skew_path import Face, skew_path
-from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+from oracles.small_scenes import plates_text, scene_text, shape_xml
 from refusals import each_refused, refused
 
 import mistray
@@ -100,16 +102,14 @@ def test_polarisation_of_sources_scatter_and_renderings(load_scene) -> None:
     by_source = {row.source: row for row in t.paths}
     laser = by_source.pop("laser")
     (plain,) = by_source.values()
-    c, cos_t = np.sqrt(0.5), np.sqrt(1 - 0.5 / 1.5**2)
-    r_s, r_p = ((c - 1.5 * cos_t) / (c + 1.5 * cos_t)) ** 2, ((1.5 * c - cos_t) / (1.5 * c + cos_t)) ** 2
+    r_s, r_p = fresnel(45.0, 1.5)
     assert laser.power_W / np.pi == pytest.approx((1 - r_s) ** 2, rel=3e-6)
     assert plain.power_W / np.pi == pytest.approx(((1 - r_s) ** 2 + (1 - r_p) ** 2) / 2, rel=3e-6)
     assert (laser.s1, laser.polarization) == pytest.approx((1, 1), abs=1e-6)
     assert t.settings["source_stokes"] == {"laser": (1.0, 0.0, 0.0)}
-    numbers = "".join(f'<float name="{name}" value="{value}"/>' for name, value in (("A", 0.1), ("B", 1), ("g", 0)))
-    wall = interface_xml(R=0.5).replace("</bsdf>", f'<bsdf type="abg">{numbers}</bsdf></bsdf>')
+    rough = scattering_xml([bsdf_xml("abg", A=0.1, B=1.0, g=0.0)], R=0.5)
     text = scene_text(
-        shape_xml("asphere", "wall", 20.0, wall, semi_diameter=20.0),
+        shape_xml("asphere", "wall", 20.0, rough, semi_diameter=20.0),
         shape_xml("asphere", "detector", -10.0, sensor=True, semi_diameter=30.0, inner_semi_diameter=2.0),
         stokes="0, 0.6, 0.8",
     )

@@ -33,14 +33,12 @@ class TestAgainstMonteCarlo:
     TEXT = scenes.lenses_text(bsdf_xml("abg", A=0.02, B=0.05, g=2.0), wall=scenes.wall_xml(0.3))
 
     @pytest.fixture(scope="class", params=LIMITS)
-    @staticmethod
-    def oracle(request: pytest.FixtureRequest) -> tuple[str, scatter.Books]:
-        text = TestAgainstMonteCarlo.TEXT
-        model = scene_xml.parse_scene(text)
+    @classmethod
+    def oracle(cls, request: pytest.FixtureRequest) -> tuple[str, scatter.Books]:
+        model, models = scene_xml.parse_scene(cls.TEXT), scatter.scatter_models(cls.TEXT)
         beam = beams.collimated(model.emitters[0], 8_000, beams.start_distance(model, model.emitters[0]))
-        models = scatter.scatter_models(text)
-        limits = LIMITS[request.param]
-        return request.param, scatter.trace(model, models, beam.origin, beam.direction, beam.power, 550.0, **limits)
+        start, limits = (beam.origin, beam.direction, beam.power), LIMITS[request.param]
+        return request.param, scatter.trace(model, models, *start, 550.0, **limits)
 
     @pytest.mark.parametrize("mode", MODES)
     def test_paths_and_books(self, load_scene, oracle: tuple[str, scatter.Books], mode: str) -> None:
@@ -101,8 +99,7 @@ def test_a_gaussian_has_no_halo(load_scene) -> None:
     model = bsdf_xml("gaussian_lobe", total=0.5, width=0.01, event="transmission")
     ring = {"at": (0.0, 0.0, 1.0), "inner_semi_diameter": 0.1, "semi_diameter": 5.0}
     t = mistray.trace(load_scene(plate_text(model, **ring)), **UNAIMED)
-    assert len(t.paths) == 0
-    assert t.energy.escaped_W == pytest.approx(1.0, rel=1e-3)
+    assert (len(t.paths), t.energy.escaped_W) == (0, pytest.approx(1.0, rel=1e-3))
 
 
 # One branch at every hit is much the same kernel: two scenes show it, all others are slow

@@ -55,8 +55,7 @@ def frames(here: Any) -> dict[str, np.ndarray]:
 
 class TestBody:
     def test_what_is_one(self, known: dict[str, Body]) -> None:
-        assert list(known) == ["P", "L"]
-        assert len(known["P"].frames) == 5
+        assert (list(known), len(known["P"].frames)) == (["P", "L"], 5)
         np.testing.assert_allclose(known["P"].axes, np.eye(3))
         np.testing.assert_allclose(known["P"].pivot, (0.0, 0.0, 7.5), atol=1e-9)
         own = known["L"].axes
@@ -179,15 +178,6 @@ def test_configuration_and_derivative_by_several_numbers(here: Any, known: dict[
         known["L"].slopes("tilt")
 
 
-DETECTOR = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=3.0, half_height=3.0)
-Load = Callable[..., mi.Scene]
-
-
-@pytest.fixture
-def load(load_scene: Callable[[str], mi.Scene]) -> Load:
-    return lambda *shapes: load_scene(scene_text(*shapes, DETECTOR))
-
-
 def tube(name: str, r0: float, z0: float, r1: float, z1: float) -> str:
     return shape_xml("frustum", name, r0=r0, z0=z0, r1=r1, z1=z1)
 
@@ -209,12 +199,16 @@ def only(found: tuple[Gap, ...], *surfaces: str) -> float:
     return gap.gap_mm
 
 
-def test_tubes_and_the_edge_of_a_lens(load: Load) -> None:
+def test_tubes_and_the_edge_of_a_lens(load_scene: Callable[[str], mi.Scene]) -> None:
+    detector = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=3.0, half_height=3.0)
+
+    def load(*shapes: str) -> mi.Scene:
+        return load_scene(scene_text(*shapes, detector))
+
     scene = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10, 6, 20), tube("vane", 3, 10, 5, 10))
     # The vane stays with the front tube, and the gap is between it and the rear one, wherever the rim is
     assert only(opened(scene, rear__z=0.3), "rear", "front") == pytest.approx(0.3, abs=1e-6)
-    assert opened(scene, front__z=0.2) == ()
-    assert opened(scene, rear__z=5e-4) == ()
+    assert (opened(scene, front__z=0.2), opened(scene, rear__z=5e-4)) == ((), ())
     # Circles in one plane whose centres are 0.1 mm apart are 0.1 mm apart where they are farthest
     assert only(opened(scene, rear__x=0.1), "rear", "front") == pytest.approx(0.1, rel=1e-3)
     apart = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10.01, 5, 20))
@@ -283,8 +277,7 @@ def test_round_rims_of_meshes() -> None:
         return scene_dicts.load(beam=beam, disc=disc, tube=tube, detector=scene_dicts.detector(20, semi_diameter=2.0))
 
     contacts = Contacts(scene(0.0))
-    assert contacts.surfaces == {"disc", "tube"}
-    assert contacts.opened(scene(0.0)) == ()
+    assert (contacts.surfaces, contacts.opened(scene(0.0))) == ({"disc", "tube"}, ())
     assert only(contacts.opened(scene(0.3)), "disc", "tube") == pytest.approx(0.3, abs=1e-5)
 
 
@@ -328,8 +321,7 @@ def test_what_is_new_and_its_share_of_the_stray_light() -> None:
     (one,) = light(front=4.0, L3=1.0, direct=3.0).since(light(front=4.0, direct=3.0))
     assert (one.share, one.of_before) == pytest.approx((0.5, 1.0))
     both = light(front=1.0, L3=2.0).plus(light(front=3.0))  # independent traces add up
-    assert both.power == {"front": 4.0, "L3": 2.0}
-    assert both.variance["front"] == pytest.approx(0.01**2 * (1 + 9))
+    assert (both.power, both.variance["front"]) == ({"front": 4.0, "L3": 2.0}, pytest.approx(0.01**2 * (1 + 9)))
     assert both.strongest == {"front": 3.0, "L3": 2.0}
     # There is no gain above a percent; but little light left of much is one, all that is left being new
     assert not spoils(())

@@ -86,14 +86,13 @@ class TestClosedForms:
         """Beyond the critical angle an ideal coating reflects R + T: both derivatives are the same."""
         wide = {"half_width": 20.0, "half_height": 20.0}
         inside = interface_xml("1.7", "air", R=0.1, T=0.6)
-        scene = load_scene(
-            scene_text(
-                shape_xml("asphere", "entrance", 0.0, interface_xml("air", "1.7", R=0.0, T=1.0), semi_diameter=20.0),
-                turned(shape_xml("asphere", "face", 20.0, inside, half_width=30.0, half_height=30.0), 45),
-                turned(shape_xml("asphere", "detector", 20.0, sensor=True, **wide), 90, SIDE),
-                turned(shape_xml("asphere", "other", 20.0, **wide), 90, -SIDE),
-            )
+        shapes = (
+            shape_xml("asphere", "entrance", 0.0, interface_xml("air", "1.7", R=0.0, T=1.0), semi_diameter=20.0),
+            turned(shape_xml("asphere", "face", 20.0, inside, half_width=30.0, half_height=30.0), 45),
+            turned(shape_xml("asphere", "detector", 20.0, sensor=True, **wide), 90, SIDE),
+            turned(shape_xml("asphere", "other", 20.0, **wide), 90, -SIDE),
         )
+        scene = load_scene(scene_text(*shapes))
         g = gradient(path_power(scene, "all", rays=64), mi.traverse(scene))
         assert g.value == pytest.approx(0.7, rel=1e-6)
         for name in "RT":
@@ -145,20 +144,12 @@ def test_backward_and_chain_rule_before_the_scene(plate) -> None:
 @pytest.mark.long
 def test_a_detector_beyond_the_critical_angle() -> None:
     """Within glass it absorbs 1 - R - T of light that it cannot transmit, by the adjoint pass and by replay."""
-    aslant = scene_dicts.at(20.0).rotate([1, 0, 0], 50)
+    aslant, face = scene_dicts.at(20.0).rotate([1, 0, 0], 50), {"type": "interface", "back": "1.5", "R": 0.0, "T": 1.0}
+    end = face | {"front": "1.5", "back": "air", "R": 0.3, "T": 0.2}
     scene = scene_dicts.load(
         source={"type": "collimated", "radius": 2.0},
-        front={
-            "type": "asphere",
-            "semi_diameter": 10.0,
-            "bsdf": {"type": "interface", "front": "air", "back": "1.5", "R": 0.0, "T": 1.0},
-        },
-        detector=scene_dicts.detector(
-            20.0,
-            to_world=aslant,
-            semi_diameter=10.0,
-            bsdf={"type": "interface", "front": "1.5", "back": "air", "R": 0.3, "T": 0.2},
-        ),
+        front={"type": "asphere", "semi_diameter": 10.0, "bsdf": face},
+        detector=scene_dicts.detector(20.0, to_world=aslant, semi_diameter=10.0, bsdf=end),
     )
     metric = path_power(scene, "all", rays=32, max_reflections=0)
     for more in ([], ["front.curvature"]):
@@ -331,15 +322,11 @@ def test_ideal_coatings_elsewhere_and_a_shared_design() -> None:
     assert found.along({"ar.thickness_nm": 2.0}).value == pytest.approx(2 * found.gradient["ar.thickness_nm"].sum())
 
 
-def film(layers: str, more: str = "") -> str:
-    return f'<bsdf type="thinfilm"><string name="layers" value="{layers}"/>{more}</bsdf>'
-
-
 def turned(shape: str, angle: int, y: float = 0.0) -> str:
     return shape.replace("<translate", f'<rotate x="1" angle="{angle}"/><translate y="{y}"')
 
 
-METAL = film("1.46 80, 0.6+3i 25", '<boolean name="opaque" value="true"/><string name="first" value="front"/>')
+METAL = bsdf_xml("thinfilm", layers="1.46 80, 0.6+3i 25", opaque=True, first="front")
 WIDE = {"half_width": 25.0, "half_height": 25.0}
 
 
@@ -355,7 +342,7 @@ def second_surface_mirror(glass: str) -> str:
 
 def total_reflection() -> str:
     """The absorbing film takes part of the total reflection, from inside the glass and near the critical angle."""
-    face = scattering_xml([film("1.5+0.05i 60, 2.0 40")], "1.6", "air")
+    face = scattering_xml([bsdf_xml("thinfilm", layers="1.5+0.05i 60, 2.0 40")], "1.6", "air")
     return scene_text(
         shape_xml("asphere", "entrance", 0.0, interface_xml("air", "1.6"), semi_diameter=20.0),
         turned(shape_xml("asphere", "face", 20.0, face, half_width=40.0, half_height=40.0), 45),
@@ -365,14 +352,14 @@ def total_reflection() -> str:
 
 
 def pellicle() -> str:
-    sheet = scattering_xml([film("1.38 100, 2.1+0.01i 70, 1.63 50")], "air", "air")
+    sheet = scattering_xml([bsdf_xml("thinfilm", layers="1.38 100, 2.1+0.01i 70, 1.63 50")])
     end = shape_xml("asphere", "detector", 20.0, interface_xml(R=0.2), sensor=True, **WIDE)
     return scene_text(shape_xml("asphere", "sheet", 0.0, sheet, semi_diameter=20.0), end, radius=3.0)
 
 
 def lens() -> str:
     """So wide that no ray meets a rim; ghosts come from R of both coatings."""
-    layers = film("1.38 100, 2.1 60, 1.63 70")
+    layers = bsdf_xml("thinfilm", layers="1.38 100, 2.1 60, 1.63 70")
     front, rear = (scattering_xml([layers], *sides) for sides in (("air", "1.6"), ("1.6", "air")))
     return scene_text(
         shape_xml("asphere", "front", 0.0, front, radius=40.0, semi_diameter=8.0),
@@ -491,13 +478,6 @@ def scene() -> Any:
     return mistray.load("double_gauss")
 
 
-def by_batch(scene: Any) -> np.ndarray:
-    """Detected power over the launched one, by batch of start rays."""
-    trace = mistray.trace(scene, rays=RETRACED, field_deg=FIELD_DEG, **LIGHT)
-    only_power = np.tile([1.0, 0.0, 0.0, 0.0], (len(trace.paths), 1))
-    return trace.paths.by_batch(only_power) / trace.energy.launched_W
-
-
 @pytest.fixture(scope="module")
 def differences(scene: Any) -> dict[str, tuple[float, float]]:
     """Name of a direction → difference of traces over twice the step, and its standard error."""
@@ -506,7 +486,9 @@ def differences(scene: Any) -> dict[str, tuple[float, float]]:
         powers, places = [], []
         for sign in (1, -1):
             with changed(params, {key: np.array([float(params[key][0]) + sign * step]) for key in keys}):
-                powers.append(by_batch(scene))
+                trace = mistray.trace(scene, rays=RETRACED, field_deg=FIELD_DEG, **LIGHT)
+                only_power = np.tile([1.0, 0.0, 0.0, 0.0], (len(trace.paths), 1))
+                powers.append(trace.paths.by_batch(only_power) / trace.energy.launched_W)
                 places.append(float(params[keys[0]][0]))
         slopes = (powers[0] - powers[1]) / (places[0] - places[1])
         found[name] = float(slopes.sum()), float(batch_error(slopes, np.ones(BATCHES)))

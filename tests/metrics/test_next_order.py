@@ -87,12 +87,10 @@ def test_the_pst_shown_is_that_which_changes_more(monkeypatch: pytest.MonkeyPatc
     assert reflection.difference_se == pytest.approx(np.hypot(reflection.before_se, reflection.after_se), rel=1e-9)
     assert scatter.sentence in pst_text(found)
     assert [item["taken"] for item in pst_record(found)["next_orders"]] == [True, False]
-
     of_limit = {name: curve(1.01e-6) for name in of_limit}
     same = with_next_orders(mistray.load("baffle_tube"), first, 60.0, measure)
     assert np.array_equal(same.by_batch, first.by_batch)
     assert [order.taken for order in same.next_orders] == [False, False]
-
     # Of a time that suffices for one of them the result tells, whichever PST it is
     lefts, of_limit = iter([100.0, 0.0]), {"max_scatters": curve(1.5e-6)}
     monkeypatch.setattr("mistray.analyses.pst.next_order.left", lambda: next(lefts))
@@ -117,8 +115,7 @@ def test_a_baffle_without_light_of_one_scatter() -> None:
     assert found.stray[0] == pytest.approx(twice.stray[0], rel=1e-12) != pytest.approx(once.stray[0])
     scatter, reflection = found.next_orders
     assert (scatter.limit, scatter.taken, scatter.before[0]) == ("max_scatters", True, once.stray[0])
-    assert (reflection.limit, reflection.taken) == ("max_reflections", False)
-    assert once.next_orders == ()
+    assert ((reflection.limit, reflection.taken), once.next_orders) == (("max_reflections", False), ())
 
 
 @pytest.mark.parametrize(("trace", "more"), [({"max_reflections": 1}, HALF**2), ({}, 0.0)])
@@ -154,12 +151,8 @@ def test_a_search(tmp_path: Path, trace: dict[str, int], more: float) -> None:
 ANGLES = [0.0, 30.0, 60.0]
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return mistray.load("plate_and_wall")
-
-
-def test_limits_of_curves_and_progress(scene):
+def test_limits_of_curves_and_progress():
+    scene = mistray.load("plate_and_wall")
     found = mistray.first_level(scene, ANGLES, rays=40_000, max_scatters=2, max_reflections=3)
     limits = {"scatter once": [1, 0], "ghosts off": [2, 0], "scatter off": [0, 3], "all": [2, 3]}
     for name, one in found.curves.items():

@@ -36,12 +36,17 @@ def plates(r: float, number: int) -> float:
     return (1 - r) / (1 + (2 * number - 1) * r)
 
 
-def tilted_plate(n: float, incidence_deg: float) -> tuple[float, float]:
-    """Unpolarised T of a lossless plate: with s and p kept apart, and with R averaged at every hit."""
+def fresnel(incidence_deg: float, n: float) -> tuple[float, float]:
+    """R of s and of p at a bare surface; n is the index behind it over that before it."""
     cos_i = np.cos(np.radians(incidence_deg))
     cos_t = np.sqrt(1 - (np.sin(np.radians(incidence_deg)) / n) ** 2)
-    r_s = ((cos_i - n * cos_t) / (cos_i + n * cos_t)) ** 2
-    r_p = ((n * cos_i - cos_t) / (n * cos_i + cos_t)) ** 2
+    s, p = (cos_i - n * cos_t) / (cos_i + n * cos_t), (n * cos_i - cos_t) / (n * cos_i + cos_t)
+    return float(s * s), float(p * p)
+
+
+def tilted_plate(n: float, incidence_deg: float) -> tuple[float, float]:
+    """Unpolarised T of a lossless plate: with s and p kept apart, and with R averaged at every hit."""
+    r_s, r_p = fresnel(incidence_deg, n)
     return float(0.5 * (plate(r_s)[0] + plate(r_p)[0])), float(plate(0.5 * (r_s + r_p))[0])
 
 

@@ -103,8 +103,7 @@ def test_coverage_of_the_standard_and_index_of_dust() -> None:
     found = contamination.standard_coverage_percent(levels)
     np.testing.assert_allclose(found, expected, atol=5e-6)
     assert contamination.standard_coverage_percent(395.3) == pytest.approx(0.1, abs=2e-5)
-    assert contamination.dust_index(0.4) == 1.53 + 0.005j
-    assert contamination.dust_index(10.6) == 1.7 + 0.2j
+    assert (contamination.dust_index(0.4), contamination.dust_index(10.6)) == (1.53 + 0.005j, 1.7 + 0.2j)
     expected = 0.005 + (0.55 - 0.4) / (0.6328 - 0.4) * (0.0005 - 0.005)
     assert complex(1.53, expected) == pytest.approx(DUST, rel=1e-12)
 

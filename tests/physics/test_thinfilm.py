@@ -293,8 +293,7 @@ class TestCalls:
         assert R.shape == T.shape == (5, 7)
         assert R.dtype == np.float64
         r, _ = amplitudes(1.0, [n, 2.1], [100.0, 50.0], 1.5, wavelength, cosine)
-        assert r[0].shape == (5, 7)
-        assert r[0].dtype == np.complex128
+        assert (r[0].shape, r[0].dtype) == ((5, 7), np.complex128)
         alone = reflectance_transmittance(1.0, [float(n[2, 0]), 2.1], [100.0, 50.0], 1.5, 550.0, float(cosine[3]))
         assert R[2, 3] == pytest.approx(float(alone[0][0]), abs=1e-15)
         with pytest.raises(mistray.MistrayError, match="2 indices and 1 thicknesses"):

@@ -50,8 +50,7 @@ def test_cells_and_their_solid_angles() -> None:
         ([40.0], 360.0, 360.0),
     ):
         grid = DirectionGrid.of([5.0], azimuths, azimuth_cell_deg=given)
-        assert grid.azimuth_cell_deg == pytest.approx(span, rel=1e-12)
-        assert grid.shape == (1, len(azimuths))
+        assert (grid.azimuth_cell_deg, grid.shape) == (pytest.approx(span, rel=1e-12), (1, len(azimuths)))
     # Opposite angles and azimuths that differ by rounding are the same
     turned = DirectionGrid.of(np.linspace(-1, 1, 21), np.arange(50) * 7.2)
     assert turned.shape == (11, 50)
@@ -205,8 +204,7 @@ def test_negative_field_angles_are_at_the_opposite_azimuth() -> None:
     again = DirectionGrid.from_facts(json.loads(json.dumps(grid.facts())))
     for key in ("field_deg", "edges_deg", "azimuths_deg", "rotation"):
         np.testing.assert_array_equal(getattr(again, key), getattr(grid, key))
-    assert again.azimuth_cell_deg == grid.azimuth_cell_deg
-    assert again.facts() == grid.facts()
+    assert (again.azimuth_cell_deg, again.facts()) == (grid.azimuth_cell_deg, grid.facts())
 
 
 def screen_text(f: float, radius: float) -> str:
@@ -326,8 +324,7 @@ def test_far_field_of_a_lambertian(load_text) -> None:
     far = FarField("beam", edges_deg=(0, 9, 11, 180), azimuths=8)
     mistray.trace(scene, rays=1000, field_deg=10.0, azimuth_deg=100.0, recorders=[far])
     flux = far.intensity[0] * far.solid_angle_sr[:, None]
-    assert np.argmax(flux) == 8 + 2
-    assert flux[1, 2] == pytest.approx(far.power[0], rel=1e-9)
+    assert (np.argmax(flux), flux[1, 2]) == (8 + 2, pytest.approx(far.power[0], rel=1e-9))
     for axis, row in (((0, 0, -1), 2), ((0, 0, 1), 0)):
         edge = FarField("edge", edges_deg=(0, 5, 170, 180), axis=axis)
         mistray.trace(scene, rays=1000, recorders=[edge])

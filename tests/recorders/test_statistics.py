@@ -332,7 +332,6 @@ class TestTent:
     def test_a_tent_of_another_width(self, load_scene) -> None:
         with pytest.raises(MistrayError, match=r"rfilter 'tent' has a radius of 2.5 pixels"):
             executed(load_scene(moving_lens('<rfilter type="tent"><float name="radius" value="2.5"/></rfilter>')))
-
         for kind, expected in (("tent", True), ("box", False), ("gaussian", False)):
             assert spreads(mi.load_dict({"type": "hdrfilm", "rfilter": {"type": kind}})) is expected
 

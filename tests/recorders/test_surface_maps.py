@@ -9,12 +9,13 @@ import pandas as pd
 import pytest
 from command_line import fails, succeeds
 from lit_detector import BLACK, lit, meter, square
+from oracles import closed_forms
 
 import mistray
 from mistray import MistrayError
 from mistray.recorders import FluxSplit, SplitRow, SurfaceMaps
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
-from mistray.report import read_irradiance
+from mistray.report import IrradianceMap, read_irradiance
 from mistray.scene.other_sensors import sensor_dict
 
 N = 1.5
@@ -196,6 +197,11 @@ def test_a_sensor_of_a_scene_and_its_text():
     assert image.shape == (8, 8, 1)
 
 
+def power_of(one: IrradianceMap) -> float:
+    x0, x1, y0, y1 = one.extent
+    return float(one.irradiance.sum()) * (x1 - x0) * (y1 - y0) / one.irradiance.size
+
+
 def test_the_command_prints_draws_and_writes_them(tmp_path, capsys):
     out = tmp_path / "out"
     command = ["ghosts", "plate_and_wall", "--field-deg", "20", "--rays", "500", "--max-scatters", "0"]
@@ -206,28 +212,22 @@ def test_the_command_prints_draws_and_writes_them(tmp_path, capsys):
     assert (out / "surface_maps_20deg.png").stat().st_size > 10_000
     one = read_irradiance(out / "irradiance_surface_maps_housing_wall_20deg.npy")
     assert one.irradiance.shape == (6, 36)
-    x0, x1, y0, y1 = one.extent
-    power = float(one.irradiance.sum()) * (x1 - x0) * (y1 - y0) / one.irradiance.size
     row = table[table.surface == "housing_wall"].iloc[0]
-    assert power == pytest.approx(row.incident_W, rel=1e-6)
+    assert power_of(one) == pytest.approx(row.incident_W, rel=1e-6)
     assert row.brightest_cell_W_mm2 == pytest.approx(one.irradiance.max(), rel=1e-6)
-
-
-def window() -> mi.Scene:
-    glass = {"front": {"front": "air", "back": f"{N}"}, "rear": {"front": f"{N}", "back": "air"}}
-    surfaces = {
-        name: {"type": "asphere", "semi_diameter": 6.0, "z": z, "bsdf": {"type": "interface", **glass[name]}}
-        for name, z in (("front", 10.0), ("rear", 12.0))
-    }
-    plate = {"type": "asphere", "half_width": 8.0, "half_height": 8.0, "z": -5.0, "bsdf": BLACK}
-    beam = {"type": "collimated", "radius": 5.0, "irradiance": 1 / (25 * np.pi), "distance": 3.0}
-    return lit(beam, **surfaces, plate=plate, detector=square(8.0, 16, z=20.0))
 
 
 @pytest.mark.quick
 def test_ghosts_of_a_window_on_a_plate():
     """R of the front, R (1 - R)² of the rear, and the ghost of three reflections R³ (1 - R)² within the window."""
-    t = mistray.trace(window(), rays=2000, max_reflections=3)
+    face = {"type": "asphere", "semi_diameter": 6.0}
+    shapes = {
+        "front": face | {"z": 10.0, "bsdf": {"type": "interface", "back": f"{N}"}},
+        "rear": face | {"z": 12.0, "bsdf": {"type": "interface", "front": f"{N}"}},
+        "plate": {"type": "asphere", "half_width": 8.0, "half_height": 8.0, "z": -5.0, "bsdf": BLACK},
+    }
+    beam = {"type": "collimated", "radius": 5.0, "irradiance": 1 / (25 * np.pi), "distance": 3.0}
+    t = mistray.trace(lit(beam, **shapes, detector=square(8.0, 16, z=20.0)), rays=2000, max_reflections=3)
     parts = {
         "G(front) & !G(rear)": R,
         "G(rear) & !G(front)": (1 - R) ** 2 * R,
@@ -286,10 +286,7 @@ def test_the_command_maps_parts_of_the_light(tmp_path, capsys):
     assert (out / "light_maps_0deg.png").stat().st_size > 10_000
     files = ("single_scatter", "single_scatter_screen", "S_plate_G", "S_plate_G_screen", "stray", "stray_screen")
     for name, (_, row) in zip(files, table.iterrows(), strict=True):
-        one = read_irradiance(out / f"irradiance_{name}_0deg.npy")
-        x0, x1, y0, y1 = one.extent
-        power = float(one.irradiance.sum()) * (x1 - x0) * (y1 - y0) / one.irradiance.size
-        assert power == pytest.approx(row.power_W, rel=1e-6)
+        assert power_of(read_irradiance(out / f"irradiance_{name}_0deg.npy")) == pytest.approx(row.power_W, rel=1e-6)
     probes = [f"0,0,{z},half_width=0.5,half_height=0.25,id={name}" for z, name in ((-1, "ghost"), (-2, "ghost!"))]
     succeeds(capsys, *COMMAND, "--maps", "ghost", "--probe", *probes, "--formats", "npy", "--out", tmp_path / "two")
     assert {file.name for file in (tmp_path / "two").glob("irradiance_ghost*")} == {
@@ -325,17 +322,13 @@ def interface(*nested: dict, **what: object) -> dict:
     return {"type": "interface", **what} | {f"scatter_{k}": one for k, one in enumerate(nested)}
 
 
+ABG = {"type": "abg", "A": A, "B": B, "g": 0.0}
+ROUGH_MIRROR = interface(ABG | {"event": "reflection"}, R=0.8, T=0.0)
 SURFACES = {
-    "bare glass": (interface(front="air", back=f"{N}"), (0.0, R, 1 - R, 0.0, 0.0)),
+    "bare glass": (interface(back=f"{N}"), (0.0, R, 1 - R, 0.0, 0.0)),
     "lossy coating": (interface(R=0.2, T=0.5), (0.3, 0.2, 0.5, 0.0, 0.0)),
-    "rough glass": (
-        interface({"type": "abg", "A": A, "B": B, "g": 0.0}, front="air", back=f"{N}"),
-        (0.0, R * (1 - TIS), (1 - R) * (1 - TIS), R * TIS, (1 - R) * TIS),
-    ),
-    "rough lossy mirror": (
-        interface({"type": "abg", "A": A, "B": B, "g": 0.0, "event": "reflection"}, R=0.8, T=0.0),
-        (0.2, 0.8 * (1 - TIS), 0.0, 0.8 * TIS, 0.0),
-    ),
+    "rough glass": (interface(ABG, back=f"{N}"), (0.0, R * (1 - TIS), (1 - R) * (1 - TIS), R * TIS, (1 - R) * TIS)),
+    "rough lossy mirror": (ROUGH_MIRROR, (0.2, 0.8 * (1 - TIS), 0.0, 0.8 * TIS, 0.0)),
 }
 
 
@@ -364,15 +357,12 @@ def test_absorption_that_is_not_followed_has_its_share(cut):
 @pytest.mark.parametrize("polarization", ["unpolarized", pytest.param("stokes", marks=pytest.mark.long)])
 def test_a_tilted_plate_and_total_reflection(polarization):
     """Fresnel's equations at 50°, mean of s and p; from within glass at 50° all light is reflected."""
-    cos_i = np.cos(np.radians(50))
-    cos_t = np.sqrt(1 - (np.sin(np.radians(50)) / N) ** 2)
-    r_s, r_p = ((cos_i - N * cos_t) / (cos_i + N * cos_t)) ** 2, ((N * cos_i - cos_t) / (N * cos_i + cos_t)) ** 2
+    r_s, r_p = closed_forms.fresnel(50.0, N)
     row = split(interface(front="air", back=f"{N}"), tilt=50.0, polarization=polarization)["sample"]
     assert row.specular_reflection[0] == pytest.approx((r_s + r_p) / 2, rel=1e-5)
     assert row.specular_transmission[0] == pytest.approx(1 - (r_s + r_p) / 2, rel=1e-5)
     row = split(interface(front=f"{N}", back="air"), tilt=50.0, polarization=polarization)["sample"]
-    assert row.specular_reflection[0] == pytest.approx(1.0, rel=1e-6)
-    assert row.specular_transmission[0] == 0
+    assert (row.specular_reflection[0], row.specular_transmission[0]) == (pytest.approx(1.0, rel=1e-6), 0)
 
 
 def test_all_surfaces_of_a_barrel_close(capsys):

@@ -72,8 +72,7 @@ def test_targets_of_a_tube(load_scene) -> None:
     """The detector and the wall aim at the mouth, a thousandth of the length before it, found to 2 % by its rays."""
     scene = load_scene(tube())
     mouth, _ = opening_of(scene)
-    assert mouth.shape == "ellipse"
-    assert mouth.centre[2] == pytest.approx(-0.002, abs=1e-5)
+    assert (mouth.shape, mouth.centre[2]) == ("ellipse", pytest.approx(-0.002, abs=1e-5))
     np.testing.assert_allclose(mouth.centre[:2], 0, atol=0.03)
     for half in (mouth.u, mouth.v):
         assert np.linalg.norm(half) == pytest.approx(1.0, abs=0.03)
@@ -83,12 +82,10 @@ def test_targets_of_a_tube(load_scene) -> None:
     (target,) = found.start.targets
     assert target.centre[2] < 0
     aim = found.aims[table.ids.index("tube"), False]
-    assert aim.rays == 2
-    assert sum(one.share for one in aim.targets) == pytest.approx(1)
+    assert (aim.rays, sum(one.share for one in aim.targets)) == (2, pytest.approx(1))
     for settings in ({"aim": "none"}, {"aim": "targets"}, {"aimed_rays": 0}):
         _, nothing = exits_of(scene, **settings)
-        assert (nothing.aims, nothing.start) == ({}, None)
-        assert nothing.views == found.views
+        assert ((nothing.aims, nothing.start), nothing.views) == (({}, None), found.views)
     _, closed = exits_of(load_scene(tube(placed_xml("asphere", "lid", semi_diameter=1.0))))
     assert closed.start is None
 

@@ -13,20 +13,10 @@ from oracles.scene_xml import read_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
-from mistray.errors import MistrayError
+from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface, Trace
 from mistray.events import EVENT_BITS
 from mistray.physics.sags.terms import sag
-from mistray.prescription import (
-    Coating,
-    Detector,
-    Prescription,
-    Source,
-    Structure,
-    Surface,
-    beam_splitter_cube,
-    moved_as_one,
-    prism,
-)
+from mistray.prescription import beam_splitter_cube, moved_as_one, prism
 from mistray.sampling.design.search import design_sequences
 from mistray.sampling.design_path import find_design_path, first_aperture
 from mistray.surfaces.host_rays import first_hit
@@ -40,29 +30,21 @@ LENS = (
 ACROSS: dict[str, Any] = {"tilt_deg": (90.0, 0.0, 0.0), "half_width": 12.0, "half_height": 12.0}
 
 
-def traced(
-    surfaces: tuple[Surface, ...],
-    *detectors: Detector,
-    radius: float = 4.0,
-    structures: tuple[Structure, ...] = (),
-    **settings: Any,
-) -> mistray.trace.Trace:
-    system = Prescription(
-        name="system",
-        surfaces=surfaces,
-        structures=structures,
-        detector=detectors[0],
-        more_detectors=detectors[1:],
-        source=Source(radius=radius, z=-60.0),
-    )
-    return mistray.trace(system.to_scene(), **({"rays": 2000, "max_reflections": 2} | settings))
+def system(surfaces: tuple[Surface, ...], *detectors: Detector, radius: float = 4.0, **more: Any) -> Prescription:
+    more |= {"detector": detectors[0], "more_detectors": detectors[1:], "source": Source(radius=radius, z=-60.0)}
+    return Prescription(name="system", surfaces=surfaces, **more)
 
 
-def kinds(t: mistray.trace.Trace) -> dict[str, str]:
+def traced(surfaces: tuple[Surface, ...], *detectors: Detector, field_deg: float = 0.0, **more: Any) -> Trace:
+    scene = system(surfaces, *detectors, **more).to_scene()
+    return mistray.trace(scene, rays=2000, max_reflections=2, field_deg=field_deg)
+
+
+def kinds(t: Trace) -> dict[str, str]:
     return {" ".join(row.events.split()[:-1]): row.kind for row in t.paths}
 
 
-def share(t: mistray.trace.Trace, kind: str) -> float:
+def share(t: Trace, kind: str) -> float:
     return sum(row.power_W for row in t.paths if row.kind == kind) / sum(row.power_W for row in t.paths)
 
 
@@ -80,17 +62,13 @@ def cassegrain(filtered: bool) -> Prescription:
             Surface("filter_front", z=60, semi_diameter=25, back="N-BK7"),
             Surface("filter_rear", z=63, semi_diameter=25, front="N-BK7"),
         ]
-    return Prescription(
-        name="cassegrain",
-        surfaces=tuple(surfaces),
-        structures=(
-            Structure("tube", 110.0, -900.0, 110.0, 5.0, coating=BLACK),
-            Structure("rear_wall", 110.0, 5.0, 25.0, 5.0, coating=BLACK),
-            Structure("rear_tube", 25.0, 5.0, 25.0, 110.0, coating=BLACK),
-        ),
-        detector=Detector(z=101, half_width=10, half_height=10),
-        source=Source(radius=100, z=-950),
+    walls = (
+        Structure("tube", 110.0, -900.0, 110.0, 5.0, coating=BLACK),
+        Structure("rear_wall", 110.0, 5.0, 25.0, 5.0, coating=BLACK),
+        Structure("rear_tube", 25.0, 5.0, 25.0, 110.0, coating=BLACK),
     )
+    parts: dict[str, Any] = {"surfaces": tuple(surfaces), "structures": walls, "source": Source(radius=100, z=-950)}
+    return Prescription(name="cassegrain", detector=Detector(z=101, half_width=10, half_height=10), **parts)
 
 
 @pytest.mark.parametrize("filtered", [False, True])
@@ -131,8 +109,7 @@ def test_design_paths_through_cubes_roofs_and_mirrors() -> None:
     assert [row.kind for row in mistray.trace(mistray.load("segmented_mirror"), rays=20_000).paths] == ["direct"] * 18
     faces = prism("prism", [(-10.0, 0.0), (10.0, 0.0), (-10.0, 20.0)], 20.0, material="N-BK7")
     t = traced(LENS + faces, Detector("camera", y=-90.0, z=10.0, **ACROSS))
-    assert share(t, "direct") == pytest.approx(0.993, abs=0.002)
-    assert share(t, "TIR") == 0
+    assert (share(t, "direct"), share(t, "TIR")) == (pytest.approx(0.993, abs=0.002), 0)
     assert t.paths[0].tir == 1
     # Its reflection counts neither as a ghost nor as one of `max_reflections`; a dark one is no mirror
     camera = Detector("camera", y=-70.0, z=20.0, **ACROSS)
@@ -184,9 +161,9 @@ def test_light_around_a_small_lens_is_a_straight_shot_unless_declared(tmp_path) 
     assert found["window_a:T window_b:T"] == "straight shot"
     assert found["front:T rear:T window_a:T window_b:T"] == "direct"
     other = Detector("screen", **screen, design_path="window_a:T window_b:T")
-    system = Prescription(name="system", surfaces=LENS + window, detector=other, source=Source(radius=20.0, z=-60.0))
-    system.to_xml(tmp_path / "scene.xml")  # a declaration survives the file
-    for scene in (system.to_scene(), mistray.load(tmp_path / "scene.xml")):
+    stated = system(LENS + window, other, radius=20.0)
+    stated.to_xml(tmp_path / "scene.xml")  # a declaration survives the file
+    for scene in (stated.to_scene(), mistray.load(tmp_path / "scene.xml")):
         declared = kinds(mistray.trace(scene, rays=2000, max_reflections=2))
         assert declared["window_a:T window_b:T"] == "direct"
         assert declared["front:T rear:T window_a:T window_b:T"] == "straight shot"
@@ -293,17 +270,14 @@ def test_the_path_does_not_depend_on_the_size_of_the_beam(radius):
     [("1.0 scatter=0.002 g=0.8", 0.0, "lens"), ("N-BK7", 0.0, "lens"), ("N-BK7", 300.0, "front")],
 )
 def test_light_is_aimed_at_the_lens_behind_a_large_front(load_scene, inside: str, radius: float, aimed: str) -> None:
-    scene = load_scene(
-        scene_text(
-            shape_xml("asphere", "front", -50.0, interface_xml("air", inside), semi_diameter=60.0, radius=radius),
-            shape_xml("asphere", "behind", -20.0, interface_xml(inside, "air"), semi_diameter=60.0, radius=radius),
-            shape_xml("asphere", "lens", 0.0, interface_xml("air", "N-BK7"), semi_diameter=6.0, radius=30.0),
-            shape_xml("asphere", "rear", 4.0, interface_xml("N-BK7", "air"), semi_diameter=6.0),
-            shape_xml("asphere", "detector", 50.0, sensor=True, semi_diameter=6.0),
-            radius=5.0,
-            distance=80.0,
-        )
+    shapes = (
+        shape_xml("asphere", "front", -50.0, interface_xml("air", inside), semi_diameter=60.0, radius=radius),
+        shape_xml("asphere", "behind", -20.0, interface_xml(inside, "air"), semi_diameter=60.0, radius=radius),
+        shape_xml("asphere", "lens", 0.0, interface_xml("air", "N-BK7"), semi_diameter=6.0, radius=30.0),
+        shape_xml("asphere", "rear", 4.0, interface_xml("N-BK7", "air"), semi_diameter=6.0),
+        shape_xml("asphere", "detector", 50.0, sensor=True, semi_diameter=6.0),
     )
+    scene = load_scene(scene_text(*shapes, radius=5.0, distance=80.0))
     sphere = first_aperture(SurfaceTable(scene, 550.0), scene)
     assert sphere is not None
     assert sphere.radius == pytest.approx({"lens": 6.0, "front": 60.0}[aimed], rel=1e-6)

@@ -1,16 +1,17 @@
-"""Cones of aimed scatter beside the oracle, what targets refuse, and all kinds of rays beside unaimed light."""
+"""Cones of aimed scatter beside the oracle, all kinds of rays beside unaimed light, and the check of the sampling."""
 
 import importlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pytest
 import vectors
-from lit_detector import BLACK, discs, hazy_block, square, towards_origin
+from lit_detector import BLACK, discs, hazy_block, lit, square, towards_origin
 from oracles import nonsequential
 from oracles.scatter_scenes import beam_xml, bsdf_xml, lenses_text, placed_xml, scatter_scene, scattering_xml, wall_xml
 from oracles.scene_xml import read_scene
@@ -28,6 +29,7 @@ from mistray.settings import Settings
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import within
+from mistray.trace.reliability import AimedSurface, SilentPlace, sampling_check, sampling_notes
 
 D_LINE_NM = 587.5618
 
@@ -210,8 +212,7 @@ def test_a_wall_before_a_lens_aims_at_what_the_lens_shows(load_scene):
     unseen = aims_of(scene(0.01))  # of no light from the wall: the lens itself
     for aim in unseen.values():
         (target,) = aim.targets
-        assert target.shape == "ellipse"
-        assert np.linalg.norm(target.u) == pytest.approx(8.0)
+        assert (target.shape, np.linalg.norm(target.u)) == ("ellipse", pytest.approx(8.0))
         assert target.centre[2] == pytest.approx(50 - np.sqrt(50**2 - 8**2), rel=1e-6)
 
 
@@ -281,8 +282,7 @@ def test_shapes_of_targets(aims, tmp_path) -> None:
     square = given("t", "rectangle", surfaces="a_front", place={"at": (0.0, 0.0, 20.0), "scale": (2.0, 3.0, 1.0)})
     aim, ring, square = (aims(one, aim="targets")["a_front", "back"] for one in (triangles, ring, square))
     assert sum(t.area for t in aim.targets) == pytest.approx(0.25 * (2 + 4), rel=1e-6)
-    assert [t.share for t in aim.targets] == pytest.approx([1 / 3, 2 / 3])
-    assert aim.rays == 5
+    assert ([t.share for t in aim.targets], aim.rays) == (pytest.approx([1 / 3, 2 / 3]), 5)
     assert (ring.targets[0].hole, np.linalg.norm(ring.targets[0].u)) == (0.25, 4.0)
     assert (square.targets[0].shape, square.targets[0].area) == ("parallelogram", pytest.approx(24.0, rel=1e-6))
     rim = [f"{np.cos(x):.6f} {np.sin(x):.6f} 20" for x in np.linspace(0, 6, 67)]
@@ -341,10 +341,8 @@ def test_share_of_aimed_rays_that_land(load_scene, reverse):
     beam = beam_xml(1e-4 if reverse else 1.0)  # from one point the virtual target is the same cone
     text = sheet(given("t", place=place, surfaces="sheet", reverse=reverse)).replace(beam_xml(1.0), beam)
     (row,) = mistray.trace(load_scene(text), rays=20_000, aim="targets").aiming
-    assert row.id == "sheet"
-    assert row.aimed == pytest.approx(20_000, rel=1e-3)
+    assert (row.id, row.aimed) == ("sheet", pytest.approx(20_000, rel=1e-3))
     assert abs(row.landed / row.aimed - 0.5) < 5 * 0.5 / np.sqrt(row.aimed)
-
     aimed, blind = (mistray.trace(load_scene(sheet()), rays=40_000, aim=aim) for aim in ("auto", "none"))
     (row,) = aimed.aiming  # automatic ones catch all
     assert row.landed == row.aimed > 0
@@ -402,32 +400,21 @@ def test_impossible_shapes() -> None:
 
 FAR_MM = 200.0  # mm: the detector from the origin
 BEAM = {"type": "collimated", "radius": 1.0}
-EDGE = {"type": "interface", "R": 0.0, "T": 1.0, "model": {"type": "edge_diffraction", "width_mm": 0.02}}
+BACK = {**BEAM, "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])}
 PAINT = {**BLACK, "haze": {"type": "paint", "reflectance": 0.2}}
-ASIDE = square(10.0, to_world=towards_origin(30, FAR_MM))
+PLATE = {"type": "asphere", "semi_diameter": 2.0, "z": -1.0, "bsdf": PAINT}
+EDGE = {"type": "interface", "R": 0.0, "T": 1.0, "model": {"type": "edge_diffraction", "width_mm": 0.02}}
+RING = {"type": "frustum", "r0": 0.98, "z0": 0.0, "r1": 1.0, "z1": 0.0, "bsdf": EDGE}
+BESIDE = square(2.0, to_world=towards_origin(4, FAR_MM))
 # The parts of each scene, and the share of the launched light that is emitted, scattered or diffracted
 FIVE: dict[str, tuple[dict[str, Any], float]] = {
-    "emitted": ({"lamp": {"type": "point_source"}, "detector": ASIDE}, 1.0),
-    "in a cone": ({"lamp": {"type": "point_source", "half_angle_deg": 60.0}, "detector": ASIDE}, 1.0),
-    "by a cosine": ({"lamp": {"type": "point_source", "exponent": 5.0}, "detector": ASIDE}, 1.0),
-    "surface source": ({"lamp": {"type": "surface_source", "radius": 3.0}, "detector": ASIDE}, 1.0),
-    "scattered": (
-        {
-            "lamp": {**BEAM, "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])},
-            "plate": {"type": "asphere", "semi_diameter": 2.0, "z": -1.0, "bsdf": PAINT},
-            "detector": ASIDE,
-        },
-        0.2,
-    ),
-    "diffracted": (
-        {
-            "lamp": {**BEAM, "inner_radius": 0.98},
-            "edge": {"type": "frustum", "r0": 0.98, "z0": 0.0, "r1": 1.0, "z1": 0.0, "bsdf": EDGE},
-            "detector": square(2.0, to_world=towards_origin(4, FAR_MM)),
-        },
-        1.0,
-    ),
-    "bulk": ({"lamp": BEAM, **hazy_block("1.0 scatter=0.01 g=0.5"), "detector": ASIDE}, 1 - np.exp(-0.1)),
+    "emitted": ({"lamp": {"type": "point_source"}}, 1.0),
+    "in a cone": ({"lamp": {"type": "point_source", "half_angle_deg": 60.0}}, 1.0),
+    "by a cosine": ({"lamp": {"type": "point_source", "exponent": 5.0}}, 1.0),
+    "surface source": ({"lamp": {"type": "surface_source", "radius": 3.0}}, 1.0),
+    "scattered": ({"lamp": BACK, "plate": PLATE}, 0.2),
+    "diffracted": ({"lamp": {**BEAM, "inner_radius": 0.98}, "edge": RING, "detector": BESIDE}, 1.0),
+    "bulk": ({"lamp": BEAM, **hazy_block("1.0 scatter=0.01 g=0.5")}, 1 - np.exp(-0.1)),
 }
 
 
@@ -437,7 +424,8 @@ def test_aimed_rays_of_every_kind(kind: str) -> None:
     """Within 3 errors of the run without aim (2.7e-3 each), with half of the gain 1/p that a share p on the detector
     promises; an error of 32 batches is itself good to 1/8, so that 3 of these are given away."""
     parts, sent = FIVE[kind]
-    scene = mistray.load({"type": "scene", **parts})
+    aside = square(10.0, to_world=towards_origin(30, FAR_MM))
+    scene = mistray.load({"type": "scene", "detector": aside} | parts)
     limits = {"ledger": False, "scatter_threshold": 0.0}
     aimed = mistray.trace(scene, rays=20_000, seed=1, **limits).energy
     blind = mistray.trace(scene, rays=1_000_000, seed=2, aim="none", **limits).energy
@@ -502,3 +490,90 @@ def test_light_finds_the_detector_through_windows() -> None:
     (aimed, se), (blind, error) = measured(scene, 10_000), measured(scene, 100_000, aim="none")
     assert abs(aimed - blind) < 4 * np.hypot(se, error)
     assert se < 0.2 * error
+
+
+def traced(rays: float = 1.0, largest: float = 0.001, aiming: Any = (), silent: Any = ()) -> Any:
+    numbers = {"scattered_rays_per_start": rays, "largest_ray_share": largest, "effective_scattered_rays": 5000.0}
+    return SimpleNamespace(aiming=list(aiming), silent=list(silent), **numbers)
+
+
+def aimed(aimed: float, landed: float, at_detector: bool = True) -> dict[str, Any]:
+    return {"aiming": [AimedSurface("window", aimed, landed, at_detector)]}
+
+
+def two_surfaces(a: float, b: float) -> list[AimedSurface]:
+    return [AimedSurface("a", 1000, a), AimedSurface("b", 1000, b)]
+
+
+def silent(count: int, share: float) -> dict[str, Any]:
+    return {"silent": [SilentPlace(f"wall_{k}", share) for k in range(count)]}
+
+
+def test_what_is_told() -> None:
+    """One line for each cause, with the worst surfaces first, or none."""
+    four = [AimedSurface(f"s{k}", 1000, 10 * k) for k in (3, 2, 1, 0)]
+    for values, words in (
+        (aimed(1000, 250), ()),
+        (aimed(1000, 199), ("window 20 %",)),
+        (aimed(1000, 200), ()),
+        (aimed(99, 0), ()),  # of a few rays no reason to warn
+        (aimed(100, 0), ("window 0 %",)),
+        (aimed(1000, 1000, False), ("window",)),  # all land, so that the target is too small, unless it is the detector
+        (aimed(1000, 1000), ()),
+        (aimed(1000, 999, False), ()),
+        ({"aiming": four}, ("s0 0 %, s1 1 %, s2 2 % and 1 more",)),
+        ({"rays": 0.099}, ("at least 0.1",)),
+        ({"rays": 0.1}, ()),
+        ({**aimed(1000, 500), "rays": 0.0}, ("at least 0.1",)),
+        ({"rays": 10.0}, ()),
+        ({"rays": 10.1}, ("at most 10",)),
+        ({"rays": 0.0, "largest": float("nan")}, ()),  # nothing scatters
+        ({"largest": 0.049}, ()),
+        ({"largest": 0.2}, ("20 %",)),
+        (silent(1, 0.9e-3), ()),
+        (silent(1, 1e-3), ("wall_0",)),
+        (silent(7, 0.5), ("7 surfaces", "wall_2 50 % and 4 more")),
+    ):
+        notes = sampling_check(traced(**values)).notes
+        assert len(notes) == bool(words)
+        assert all(word in notes[0] for word in words)
+    # Several traces share a line of each kind, with the worst figures of any of them
+    wall, dim, edge = SilentPlace("wall", 0.5), SilentPlace("wall", 0.02), SilentPlace("edge", 0.1)
+    several = [
+        traced(40.0, 0.2, two_surfaces(100, 900), [dim]),
+        traced(50.0, 0.001, two_surfaces(150, 50)),
+        traced(0.0, float("nan")),
+        traced(0.01, 0.3, two_surfaces(500, 900), [wall, edge]),
+    ]
+    found = sampling_notes(several)
+    words = ("b 5 %, a 10 %", "wall 50 %, edge 10 %", "0.01", "50", "30 %")
+    assert [numbers for numbers, _ in found] == [[0, 1], [0, 3], [3], [0, 1], [0, 3]]
+    assert all(word in text for word, (_, text) in zip(words, found, strict=True))
+    assert sampling_notes([]) == []
+
+
+def hazy_scene(target: dict[str, Any] | None = None) -> Any:
+    place = towards_origin(40.0, 100.0)
+    more = {} if target is None else {"aim": target | {"to_world": place}}
+    block = hazy_block("1.0 scatter=0.01")
+    return lit({"type": "collimated", "radius": 1.0}, **block, detector=square(0.3, 8, to_world=place), **more)
+
+
+def test_a_medium_whose_light_is_not_found_is_named():
+    """Without aim no ray finds the detector (2e-6 of them would): the trace says so instead of 0 ± 0 alone."""
+    blind = mistray.trace(hazy_scene(), rays=5000, aim="none")
+    assert blind.energy.detected_W == 0
+    (place,) = blind.silent
+    assert place.id == "(1.0_scatter=0.01)"
+    assert 0.9 < place.share < 1.1  # the whole beam, less what is scattered before, and once more what comes back
+    assert any("(1.0_scatter=0.01)" in text for text in sampling_check(blind).notes)
+    aimed = mistray.trace(hazy_scene(), rays=5000)
+    assert aimed.silent == []
+    assert not any("(1.0_scatter=0.01)" in text for text in sampling_check(aimed).notes)
+
+
+@pytest.mark.parametrize(("scale", "low", "tight"), [(0.1, False, True), (0.35, False, False), (9.0, True, False)])
+def test_targets_of_a_wrong_size_are_named(scale, low, tight):
+    disc = {"type": "disk", "bsdf": {"type": "target", "surfaces": "*", "scale": scale}}
+    (row,) = sampling_check(mistray.trace(hazy_scene(disc), rays=5000)).rows
+    assert (row.low, row.tight) == (low, tight)

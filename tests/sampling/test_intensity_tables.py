@@ -1,6 +1,7 @@
 """Intensities by direction from files: flux, directions, aim and orientation, beside closed forms."""
 
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -21,18 +22,11 @@ ASIDE = towards_origin(float(np.degrees(np.arcsin(0.6))), 50.0)
 DETECTOR = {"type": "asphere", "semi_diameter": 2.0, "to_world": ASIDE, "bsdf": BLACK, "sensor": meter()}
 
 
-def lm63(
-    theta: np.ndarray,
-    phi: np.ndarray,
-    candela: np.ndarray,
-    first: str = "IESNA:LM-63-2002",
-    multiplier: float = 1.0,
-    second: float = 1.0,
-) -> str:
+def lm63(theta: Any, phi: Any, candela: Any, first: str = "", multiplier: float = 1.0, second: float = 1.0) -> str:
     """An IES file of type C, candela (p, t), as the standard lays it out; lines are broken anywhere."""
     words = [f"{value:g}" for value in (*theta, *phi, *candela.ravel())]
     lines = [" ".join(words[k : k + 11]) for k in range(0, len(words), 11)]
-    head = [first, "[TEST] made up: 30\xb0", "[MANUFAC] none", "[MORE] TILT is none"]
+    head = [first or "IESNA:LM-63-2002", "[TEST] made up: 30\xb0", "[MANUFAC] none", "[MORE] TILT is none"]
     size = f"1 -1 {multiplier:g} {len(theta)} {len(phi)} 1 2 0.1 0.1 0"
     return "\r\n".join([*head, "TILT=NONE", size, f"1 {second:g} 12.5", *lines, ""])
 
@@ -121,8 +115,7 @@ def test_ies(tmp_path: Path) -> None:
         file = tmp_path / f"{kind} one.ies"
         file.write_bytes(lm63(theta, phi[keep], 100 * np.outer(shape[keep], fall), multiplier=2.0).encode("latin-1"))
         found = read_intensities(file)
-        assert found.unit == "cd"
-        assert (found.phi_deg[0], found.phi_deg[-1]) == (0, 360)
+        assert (found.unit, (found.phi_deg[0], found.phi_deg[-1])) == ("cd", (0, 360))
         for azimuth, value in zip(phi, shape, strict=True):
             column = [np.interp(-azimuth % 360, found.phi_deg, row) for row in found.values]
             assert column == pytest.approx(200 * value * fall, rel=1e-4), (kind, azimuth)
@@ -163,11 +156,8 @@ def on_detector(found: Intensities) -> float:
 
 
 def csv_of(found: Intensities, name: str) -> str:
-    rows = [
-        f"{t!r},{p!r},{float(found.values[k, j])!r}"
-        for k, t in enumerate(found.theta_deg.tolist())
-        for j, p in enumerate(found.phi_deg.tolist())
-    ]
+    table = zip(found.theta_deg.tolist(), found.values.tolist(), strict=True)
+    rows = [f"{t!r},{p!r},{v!r}" for t, row in table for p, v in zip(found.phi_deg.tolist(), row, strict=True)]
     return "\n".join(["# made up", f"theta_deg, phi_deg, {name}", *rows])
 
 

@@ -10,7 +10,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
-from oracles.small_scenes import interface_xml, shape_xml, write
+import vectors
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 
 import mistray
 from mistray.execute.scene_task import fingerprint, kernel_arrays
@@ -22,42 +24,20 @@ from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 
-FILM = '<bsdf type="thinfilm"><string name="layers" value="MgF2 90, 2.1 60"/></bsdf>'
-SCATTER = (
-    '<bsdf type="abg"><float name="A" value="1e-3"/><float name="B" value="1e-3"/><float name="g" value="2"/></bsdf>'
-)
-CHANGES = {
-    "front.curvature": 0.021,
-    "front.z": -0.5,
-    "front.tilt_x": 0.3,
-    "front.a4": 2e-6,
-    "rear.z": 0.4,
-    "rear.semi_diameter": 7.5,
-    "stop.r0": 3.5,
-    "front.bsdf.n_back_shift": 0.01,
-    "front.bsdf.coating.thickness_nm": (91.0, 60.0),
-    "front.bsdf.coating.n_shift": (0.01, 0.0),
-    "wall.bsdf.R": 0.2,
-    "mirror.bsdf.R": 0.8,
-    "rear.bsdf.abg.A": 2e-3,
-    "detector.bsdf.R": 0.1,
-}
 
-
-def scene_text(glass: str = "1.5") -> str:
+def lens_text(glass: str = "1.5") -> str:
     """A lens with a coating and scatter, a stop, a wall, a mirror that does not say so, and the detector."""
-    film, scatter = (interface_xml(*s).removesuffix("</bsdf>") + m + "</bsdf>" for s, m in (
-        (("air", glass), FILM), ((glass, "air"), SCATTER)))  # fmt: skip
-    shapes = (
+    film = scattering_xml([bsdf_xml("thinfilm", layers="MgF2 90, 2.1 60")], "air", glass)
+    scatter = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)], glass, "air")
+    return scene_text(
         shape_xml("asphere", "front", 0.0, film, curvature=0.02, semi_diameter=8.0),
         shape_xml("asphere", "rear", 4.0, scatter, curvature=-0.02, semi_diameter=8.0),
         shape_xml("frustum", "stop", 6.0, None, r0=4.0, z0=0.0, r1=12.0, z1=0.0),
         shape_xml("frustum", "wall", 0.0, interface_xml(R=0.1), r0=12.0, z0=-2.0, r1=12.0, z1=19.0),
         shape_xml("asphere", "mirror", 30.0, interface_xml(R=0.9), semi_diameter=9.0),
         shape_xml("asphere", "detector", 20.0, sensor=True, half_width=3.0, half_height=3.0),
+        radius=5.0,
     )
-    source = '<emitter type="collimated"><float name="radius" value="5"/></emitter>'
-    return f'<scene version="3.0.0"><integrator type="straylight"/>{source}{"".join(shapes)}</scene>'
 
 
 def prepared(scene: mi.Scene, field_deg: float = 0.0, **given: Any) -> Run:
@@ -86,9 +66,9 @@ def alike(some: list[np.ndarray], others: list[np.ndarray]) -> bool:
 
 @pytest.mark.parametrize("polarization", ["unpolarized", "stokes"])
 def test_each_kind_of_change_is_seen(load_scene: Any, polarization: str) -> None:
-    scene = load_scene(scene_text())
+    scene = load_scene(lens_text())
     params = mi.traverse(scene)
-    for key, value in CHANGES.items():
+    for key, value in vectors.toml("tables.toml")["changes of a lens"].items():
         before = prepared(scene, polarization=polarization)
         assert prepared(scene, 3.0, polarization=polarization).table.optics is before.table.optics
         old, state = of_run(before), fingerprint([(before.table, before.scattering)])
@@ -108,7 +88,7 @@ def test_results_after_a_change_are_those_of_a_new_scene(load_scene: Any) -> Non
         energy = mistray.trace(scene, rays=500, seed=1).energy
         return [energy.detected_W, energy.escaped_W, *(power for power, _ in energy.absorbed.values())]
 
-    scene, other = load_scene(scene_text()), load_scene(scene_text())
+    scene, other = load_scene(lens_text()), load_scene(lens_text())
     first = flux(scene)
     for given in (mi.traverse(scene), mi.traverse(other)):
         given["front.curvature"] = 0.03
@@ -122,7 +102,7 @@ def test_results_after_a_change_are_those_of_a_new_scene(load_scene: Any) -> Non
 
 
 def test_modes_wavelengths_and_fields_share_what_they_can(load_scene: Any) -> None:
-    scene = load_scene(scene_text())
+    scene = load_scene(lens_text())
     plain, stokes = (prepared(scene, polarization=mode) for mode in ("unpolarized", "stokes"))
     assert plain.table.shared is stokes.table.shared
     assert plain.intersector is stokes.intersector
@@ -140,7 +120,7 @@ def test_a_changed_file_of_a_material_is_seen(tmp_path: Path) -> None:
     for n in (1.5, 1.6):
         glass.write_text(f"wavelength_nm,n,k\n400,{n},0\n800,{n},0\n", encoding="utf-8")
         if not found:
-            scene = mistray.load(write(tmp_path, scene_text("glass.csv")))
+            scene = mistray.load(write(tmp_path, lens_text("glass.csv")))
         table = prepared(scene).table
         found.append(table.optics.host_indices[table.ids.index("front"), 1])
     assert found == pytest.approx([1.5, 1.6])
@@ -165,21 +145,17 @@ def test_what_is_found_by_no_box_and_no_index(load_scene: Any) -> None:
     for tilt in (45.0, -45.0):
         fold = place().translate([0, 0, 10]).rotate([1, 0, 0], tilt).scale(2)
         mirror = {"type": "rectangle", "to_world": fold, "bsdf": {"type": "interface", "R": 0.9, "mirror": True}}
-        screens = {
-            name: scene_dicts.detector(
-                0, to_world=place().translate([0, y, 10]).rotate([1, 0, 0], 90.0), semi_diameter=2
-            )
-            for name, y in (("up", 5), ("down", -5))
-        }
-        scene = scene_dicts.load(beam={"type": "collimated", "radius": 0.5}, mirror=mirror, **screens)
+        places = (place().translate([0, y, 10]).rotate([1, 0, 0], 90.0) for y in (5, -5))
+        up, down = (scene_dicts.detector(0, to_world=there, semi_diameter=2) for there in places)
+        scene = scene_dicts.load(beam={"type": "collimated", "radius": 0.5}, mirror=mirror, up=up, down=down)
         assert mistray.trace(scene, rays=100).paths[0].kind == "direct"
         runs.append(prepared(scene))
-    runs += [prepared(load_scene(scene_text(f"1.5 scatter=0.1 g={g}"))) for g in (0.1, 0.8)]
+    runs += [prepared(load_scene(lens_text(f"1.5 scatter=0.1 g={g}"))) for g in (0.1, 0.8)]
     assert len({fingerprint([(run.table, run.scattering)]) for run in runs}) == 4
 
 
 def test_tables_go_with_their_scene(load_scene: Any) -> None:
-    scene = load_scene(scene_text())
+    scene = load_scene(lens_text())
     prepared(scene, polarization="stokes"), prepared(scene)
     shapes = [weakref.ref(shape) for shape in scene.shapes()]
     del scene

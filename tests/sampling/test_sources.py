@@ -222,14 +222,7 @@ def test_few_rays_of_a_wide_lamp() -> None:
     scene = load(
         lamp={"type": "point_source", "z": -30.0, "half_angle_deg": 90.0},
         window={"type": "asphere", "semi_diameter": 5.0, "bsdf": window},
-        tube={
-            "type": "frustum",
-            "z0": -5.0,
-            "z1": 50.0,
-            "r0": 20.0,
-            "r1": 20.0,
-            "bsdf": {"type": "interface", "R": 0.0},
-        },
+        tube=TUBE | {"z0": -5.0, "z1": 50.0, "r0": 20.0, "r1": 20.0},
         detector=detector(1.0, semi_diameter=5.0),
     )
     runs = [mistray.trace(scene, rays=320, seed=seed, ledger=False).energy for seed in range(20)]

@@ -30,32 +30,22 @@ BAND_UM = (8.0, 12.0)
 
 L300 = band_radiance(300.0, *BAND_UM)
 FLAT = {"type": "asphere", "semi_diameter": 30.0, "z": -40.0}
+FLUX = np.pi**2 * L300  # of a black surface by its area over π, W/mm²
+DISC = FLUX * 900 * discs(40, 30)
+BALL = {"type": "sphere", "center": [0, 0, -40], "radius": 30.0}
+BOWL = {"type": "asphere", "radius": 30.0, "semi_diameter": 29.999999, "z": -70.0}
+CYLINDER = {"type": "frustum", "r0": 30.0, "r1": 30.0, "z0": -60.0, "z1": -20.0}
 CASES: dict[str, tuple[dict[str, Any], float]] = {
-    "black disc": ({**FLAT, "bsdf": BLACK}, np.pi * L300 * np.pi * 900 * discs(40, 30)),
-    "grey disc": ({**FLAT, "bsdf": GREY}, 0.75 * np.pi * L300 * np.pi * 900 * discs(40, 30)),
-    "window that absorbs": (
-        {**FLAT, "bsdf": {"type": "interface", "R": 0.1, "T": 0.7}},
-        0.2 * np.pi * L300 * np.pi * 900 * discs(40, 30),
-    ),
-    "ring": (
-        {**FLAT, "inner_semi_diameter": 20.0, "bsdf": BLACK},
-        np.pi * L300 * np.pi * (900 * discs(40, 30) - 400 * discs(40, 20)),
-    ),
-    "ball": (
-        # Its irradiance is that of a point, π L (R/r)² cos θ, and cos θ dA / r² = dΩ
-        {"type": "sphere", "center": [0, 0, -40], "radius": 30.0, "bsdf": BLACK},
-        np.pi * L300 * 900 * 2 * np.pi * (1 - 40 / np.hypot(40, RADIUS)),
-    ),
-    "deep bowl": (
-        # A hemisphere that opens to the detector is seen as its black opening: a disc of 30 mm at 40 mm
-        {"type": "asphere", "radius": 30.0, "semi_diameter": 29.999999, "z": -70.0, "bsdf": BLACK},
-        np.pi * L300 * np.pi * 900 * discs(40, 30),
-    ),
-    "tube": (
-        # From ends of radius 30 at 20 and 60 mm: what comes through the near one and not through the far one
-        {"type": "frustum", "r0": 30.0, "r1": 30.0, "z0": -60.0, "z1": -20.0, "bsdf": BLACK},
-        np.pi * L300 * np.pi * 900 * (discs(20, 30) - discs(60, 30)),
-    ),
+    "black disc": (FLAT, DISC),
+    "grey disc": (FLAT | {"bsdf": GREY}, 0.75 * DISC),
+    "window that absorbs": (FLAT | {"bsdf": {"type": "interface", "R": 0.1, "T": 0.7}}, 0.2 * DISC),
+    "ring": (FLAT | {"inner_semi_diameter": 20.0}, DISC - FLUX * 400 * discs(40, 20)),
+    # Its irradiance is that of a point, π L (R/r)² cos θ, and cos θ dA / r² = dΩ
+    "ball": (BALL, FLUX * 900 * 2 * (1 - 40 / np.hypot(40, RADIUS))),
+    # A hemisphere that opens to the detector is seen as its black opening: a disc of 30 mm at 40 mm
+    "deep bowl": (BOWL, DISC),
+    # From ends of radius 30 at 20 and 60 mm: what comes through the near one and not through the far one
+    "tube": (CYLINDER, FLUX * 900 * (discs(20, 30) - discs(60, 30))),
 }
 
 
@@ -63,7 +53,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
 def test_closed_form(name: str) -> None:
     """View factor × Planck, in its band; false alarms 0.05 % each."""
     shape, exact = CASES[name]
-    t = mistray.trace(lit(WARM, shape=shape), rays=40_000)
+    t = mistray.trace(lit(WARM, shape={"bsdf": BLACK} | shape), rays=40_000)
     assert_z(name, t.energy.detected_W, exact, t.energy.detected_se_W, false_alarm=5e-4)
     assert abs(t.energy.closure) < 1e-6
     assert set(t.paths.to_pandas().source) == {"lamp:shape"}
@@ -343,8 +333,7 @@ def test_zemax_file_by_hand(tmp_path: Path) -> None:
     assert found.flux_W.tolist() == [1.0, 2.0]
     (tmp_path / "text.dat").write_text("1 2\n1 2 3 0 0 1 5.5\n")
     found = read_ray_set(tmp_path / "text.dat")
-    assert found.origins.tolist() == [[10, 20, 30]]
-    assert found.flux_W.tolist() == [5.5]
+    assert (found.origins.tolist(), found.flux_W.tolist()) == ([[10, 20, 30]], [5.5])
     (tmp_path / "no_unit.dat").write_text("1\n1 2 3 0 0 1 5.5\n")
     assert read_ray_set(tmp_path / "no_unit.dat", unit="m").origins.tolist() == [[1000, 2000, 3000]]
 
@@ -379,14 +368,12 @@ def test_flux_and_wavelengths(tmp_path: Path) -> None:
     t = mistray.trace(lit(lamp, detector=square(10.0, 8)), rays=10_000)
     share = t.irradiance[:, 4:5].sum() / t.irradiance.sum()  # the first ray lands in this column, the other does not
     assert_z("share", share, 0.25, np.sqrt(0.25 * 0.75 / 10_000), false_alarm=1e-3)
-    assert t.energy.launched_W == pytest.approx(4.0)
-    assert t.wavelengths_nm == [633.0]
+    assert (t.energy.launched_W, t.wavelengths_nm) == (pytest.approx(4.0), [633.0])
     many = rays(2000)
     rng = np.random.default_rng(1)
     save_ray_set(tmp_path / "many.csv", RaySet(many.origins, many.directions, many.flux_W, rng.uniform(400, 700, 2000)))
     made = mi.load_dict({"type": "ray_file", "filename": str(tmp_path / "many.csv"), "power": 2.0})
-    assert len(made.wavelengths_nm) == 32
-    assert made.power() == 2.0
+    assert (len(made.wavelengths_nm), made.power()) == (32, 2.0)
     assert np.all(np.diff(made.wavelengths_nm) > 0)
     assert made.weights == pytest.approx(np.full(32, 1 / 32), rel=0.2)
     # A strong line among 40 weak ones is one wavelength, with its own share
@@ -399,18 +386,11 @@ def test_flux_and_wavelengths(tmp_path: Path) -> None:
 
 
 def tm25(
-    rows: list[list[float]],
-    flags: tuple[int, ...] = (1, 1, 1, 0, 0, 0, 0, 0),
-    *,
-    watts: float = float("nan"),
-    lumens: float = float("nan"),
-    spectrum: int = 0,
-    nm: float = float("nan"),
-    tables: tuple[tuple[float, ...], ...] = (),
-    names: tuple[str, ...] = (),
-    text: str = "",
+    rows: list[list[float]], flags: tuple[int, ...] = (1, 1, 1, 0, 0, 0, 0, 0), text: str = "", **more: Any
 ) -> bytes:
     """A TM-25 file, byte by byte as the sections 4.7.1 to 4.7.7 of IES TM-25-13 have it."""
+    lumens, watts, nm = (more.get(name, float("nan")) for name in ("lumens", "watts", "nm"))
+    spectrum, tables, names = more.get("spectrum", 0), more.get("tables", ()), more.get("names", ())
     note = text.encode("utf-32-le")
     note += bytes(-len(note) % 32)
     head = struct.pack("<4siiffQ28s", b"TM25", 2013, 0, lumens, watts, len(rows), b"2026-11-28T00:00:00+00:00")
@@ -436,8 +416,7 @@ class TestTM25:
         file.write_bytes(tm25(rows, (1, 1, 1, 1, 0, 1, 0, 0), spectrum=2, names=("chip",), text="of the bench"))
         found = read_ray_set(file)
         assert found.flux_W.tolist() == [1.0, 3.0]  # the header states no total
-        assert found.wavelength_nm.tolist() == [450.0, 650.0]
-        assert found.directions[1].tolist() == [0, 0, -1]
+        assert (found.wavelength_nm.tolist(), found.directions[1].tolist()) == ([450.0, 650.0], [0, 0, -1])
         # 337 lm that are 0.694 W; without the watts, only with the power of all
         rows = [[0, 0, 0, 0, 0, 1, 1.0], [1, 0, 0, 0, 0, 1, 3.0]]
         flags = (1, 1, 0, 0, 1, 0, 0, 0)

@@ -266,19 +266,13 @@ CASES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def board(shapes: dict[str, Any]) -> Any:
-    return scene_dicts.load(
-        source={"type": "collimated", "radius": 20.0, "wavelength_nm": 550.0, "distance": 60.0},
-        detector=scene_dicts.detector(-45, type="freeform", half_width=40.0, half_height=40.0, meets="-z"),
-        **shapes,
-    )
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param(k, marks=pytest.mark.long) if k in ("lenslets", "moved segments") else k for k in CASES]
 )
 def test_the_same_hits_as_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = SurfaceTable(board(CASES[name]), 550.0)
+    light = {"type": "collimated", "radius": 20.0, "wavelength_nm": 550.0, "distance": 60.0}
+    board = scene_dicts.detector(-45, type="freeform", half_width=40.0, half_height=40.0, meets="-z")
+    table = SurfaceTable(scene_dicts.load(source=light, detector=board, **CASES[name]), 550.0)
     rng = np.random.default_rng(5)
     count = 20_000
     o = np.column_stack([rng.uniform(-25, 25, (count, 2)), np.where(rng.random(count) < 0.5, -40.0, 30.0)])
@@ -509,12 +503,8 @@ def test_areas_of_narrow_freeforms():
     oval = {"clip_1": "+ellipse", "clip_1_half_width": 8.0, "clip_1_half_height": 3.0, "clip_1_angle_deg": 20.0}
     cap = {"radius": 11.0, "clip_1": "+circle", "clip_1_radius": 10.0}
     whole = 2 * np.pi * 11 * (11 - math.sqrt(21))
-    for shape, area, rel in (
-        (slit, 0.8, 1e-4),
-        (ring, np.pi * 1.99, 6e-3),
-        (oval, 24 * np.pi, 1e-4),
-        (cap, whole, 1e-4),
-    ):
+    areas = (slit, 0.8, 1e-4), (ring, np.pi * 1.99, 6e-3), (oval, 24 * np.pi, 1e-4), (cap, whole, 1e-4)
+    for shape, area, rel in areas:
         table = SurfaceTable(scene({"type": "freeform"} | shape), 550.0)
         parts = table.pieces[table.ids.index("shape")].areas(8, 8)
         assert parts.sum() == pytest.approx(area, rel=rel)

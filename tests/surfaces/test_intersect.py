@@ -77,24 +77,20 @@ class Scene:
 
     def kernel(self, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
         """Hits (n, 3), moved onto the surface as the kernel does it, and surfaces in XML order (-1: none)."""
-        o, d, t, surface = self._nearest(rays)
+        o, d, t, surface = self.nearest(rays)
         hit = surface != NO_SURFACE
         at = interact(self.table, dr.fma(t, d, o), d, dr.select(hit, surface, 0), None, None, hit)
-        return self.table.download_points(at.p), self._in_order(surface)
+        return self.table.download_points(at.p), self.in_order(surface)
 
-    def distances(self, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
-        """Distances of hits along the rays, mm, and surfaces in XML order (-1: none)."""
-        _, _, t, surface = self._nearest(rays)
-        return np.array(t), self._in_order(surface)
-
-    def _nearest(self, rays: Rays) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float, mi.UInt32]:
+    def nearest(self, rays: Rays) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float, mi.UInt32]:
         origin, direction, start = rays
         last = np.where(start < 0, NO_SURFACE, self.number[start]).astype(np.uint32)
         o = self.table.upload_points(origin)
         d = dr.normalize(mi.Vector3f(direction.T.astype(np.float32)))
         return o, d, *self.intersector.nearest(o, d, mi.UInt32(last), mi.Bool(True))
 
-    def _in_order(self, surface: mi.UInt32) -> np.ndarray:
+    def in_order(self, surface: mi.UInt32) -> np.ndarray:
+        """Surfaces in XML order (-1: none)."""
         numbers = np.array(surface).astype(np.int64)
         order = np.full(self.table.count, -1)
         order[self.number] = np.arange(len(self.ids))
@@ -246,7 +242,8 @@ def test_hits_of_rays_from_far_away(distance: float, load_text: Callable[..., An
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     origin = (points - distance * d).astype(np.float32).astype(np.float64)
     rays = origin, d, np.full(len(d), -1)
-    t, found = scene.distances(rays)
+    _, _, t, found = scene.nearest(rays)
+    t, found = np.array(t), scene.in_order(found)
     exact, surface = nonsequential.nearest_hits(scene.model, *rays)
     at = origin + np.where(np.isfinite(exact), exact, 0)[:, None] * d
     off = np.abs(np.where(surface >= 0, t - np.where(surface >= 0, exact, 0), 0)) * scene.cosine(at, d, surface)
@@ -325,8 +322,7 @@ def assert_same(a: Any, b: Any) -> None:
         assert y.rms_radius_mm == pytest.approx(x.rms_radius_mm, rel=1e-7, abs=1e-7)
     surfaces = [{row.id: (row.hits, row.part, row.space) for row in t.surfaces} for t in (a, b)]
     assert surfaces[0] == surfaces[1]
-    assert b.energy.escaped_W == pytest.approx(a.energy.escaped_W, rel=1e-12)
-    assert b.segments == a.segments
+    assert (b.energy.escaped_W, b.segments) == (pytest.approx(a.energy.escaped_W, rel=1e-12), a.segments)
     np.testing.assert_allclose(b.irradiance, a.irradiance, rtol=1e-9, atol=1e-12 * a.irradiance.max())
 
 
@@ -407,8 +403,7 @@ class TestPasses:
         whole = mistray.trace(scene, rays=1030)
         monkeypatch.setattr(tracer, "PASS_LANES", lanes)
         cut = mistray.trace(scene, rays=1030)
-        assert rows(whole) == rows(cut)
-        assert cut.energy.detected_W == pytest.approx(whole.energy.detected_W, rel=1e-12)
+        assert (rows(whole), cut.energy.detected_W) == (rows(cut), pytest.approx(whole.energy.detected_W, rel=1e-12))
         assert cut.energy.detected_se_W < 1e-7 * cut.energy.detected_W
         assert cut.segments == whole.segments
 
@@ -469,7 +464,6 @@ class TestLedger:
 Load = Callable[[str], mi.Scene]
 RADIUS, LENGTH = 20.0, 100.0
 PAINT = '<bsdf type="paint"><float name="reflectance" value="0.05"/></bsdf>'
-DETECTOR = shape_xml("asphere", "detector", LENGTH, sensor=True, semi_diameter=RADIUS)
 
 
 def plain(kind: str, name: str, pose: str = "", **numbers: float) -> str:
@@ -478,7 +472,8 @@ def plain(kind: str, name: str, pose: str = "", **numbers: float) -> str:
 
 
 def lit(shapes: str) -> str:
-    return scene_text(shapes, DETECTOR, radius=15.0)
+    detector = shape_xml("asphere", "detector", LENGTH, sensor=True, semi_diameter=RADIUS)
+    return scene_text(shapes, detector, radius=15.0)
 
 
 def tube(rings: int) -> str:

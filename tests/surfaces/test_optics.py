@@ -10,6 +10,7 @@ import pytest
 import scene_dicts
 import tmm
 from oracles import nonsequential
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import interface_xml, meter_xml, scene_text, shape_xml
 from refusals import each_refused
 
@@ -40,11 +41,9 @@ def scene_with(layers: Layers, glass: float, reverse: bool) -> str:
     """One coated plane; the first layer touches air; glass behind, or in front if `reverse`."""
     text = ", ".join(f"{n.real!r}+{n.imag!r}i {d!r}" for n, d in layers)
     sides = ("air", repr(glass)) if not reverse else (repr(glass), "air")
-    first = f'<string name="first" value="{"back" if reverse else "front"}"/>'
-    film = f'<bsdf type="thinfilm"><string name="layers" value="{text}"/>{first}</bsdf></bsdf>'
-    bsdf = interface_xml(*sides).removesuffix("</bsdf>") + film
+    film = bsdf_xml("thinfilm", layers=text, first="back" if reverse else "front")
     return scene_text(
-        shape_xml("asphere", "film", 0.0, bsdf, semi_diameter=5.0),
+        shape_xml("asphere", "film", 0.0, scattering_xml([film], *sides), semi_diameter=5.0),
         shape_xml("asphere", "detector", 20.0, sensor=True, half_width=9.0, half_height=9.0),
     )
 
@@ -122,9 +121,8 @@ def test_fixed_shares_are_the_same_up_to_the_critical_angle_and_beyond() -> None
 
 def test_a_mirror_in_air_has_equal_derivatives_from_both_sides(load_text) -> None:
     """Its layers face the light; what moves is the thickness and the index of both, and the air of either side."""
-    layers = '<string name="layers" value="1.6+0.05i 172, 0.1+3.6i 20"/><boolean name="opaque" value="true"/>'
-    mirror = f'<bsdf type="interface"><bsdf type="thinfilm">{layers}</bsdf></bsdf>'
-    shape = shape_xml("asphere", "mirror", 5.0, mirror, semi_diameter=3.0)
+    layers = bsdf_xml("thinfilm", layers="1.6+0.05i 172, 0.1+3.6i 20", opaque=True)
+    shape = shape_xml("asphere", "mirror", 5.0, scattering_xml([layers]), semi_diameter=3.0)
     film = shape_xml("asphere", "film", 9.0, sensor=True, semi_diameter=3.0)
     table = SurfaceTable(load_text(scene_text(shape, film))[0], 550.0)
     surface, used = table.ids.index("mirror"), np.array([40, 100, 200])
@@ -303,8 +301,7 @@ def test_ball_lens_against_the_float64_oracle(load_text) -> None:
     assert set(by_events(t)) == set(theirs)
     for events, row in by_events(t).items():
         record = theirs[events]
-        assert row.rays == record.rays
-        assert row.power_W == pytest.approx(record.power_W, rel=1e-4)
+        assert (row.rays, row.power_W) == (record.rays, pytest.approx(record.power_W, rel=1e-4))
         assert row.x_mm == pytest.approx(record.x_mm, abs=1e-3)
         assert row.rms_radius_mm == pytest.approx(record.rms_radius_mm, abs=1e-3)
 
@@ -323,8 +320,7 @@ def test_prism_turns_the_light_by_total_reflection(load_scene, tmp_path: Path) -
     t = mistray.trace(load_scene(scene_text(mesh, below, radius=2.0)), rays=5000)
     direct = t.paths[0]
     assert (direct.events, direct.kind, direct.rays) == ("prism:T prism:I prism:T detector:A", "TIR", 5000)
-    assert direct.power_W / t.energy.launched_W == pytest.approx(0.96**2, rel=1e-5)
-    assert t.energy.cut["medium"] == 0
+    assert (direct.power_W / t.energy.launched_W, t.energy.cut["medium"]) == (pytest.approx(0.96**2, rel=1e-5), 0)
     assert abs(t.energy.closure) < 1e-6
     # y of the entrance becomes z of the exit, and the prism does not scale
     assert direct.rms_radius_mm == pytest.approx(2 / np.sqrt(2), abs=4 * direct.rms_radius_se_mm)
@@ -347,8 +343,7 @@ class TestMixtures:
         scene, model = load_text(scene_text(*theirs, *ours, screen))
         t = mistray.trace(scene, rays=300, flux_threshold=0.0)
         order = ["theirs_1", "ours_2", "theirs_3", "ours_4", "theirs_5", "ours_6"]
-        assert t.paths[0].events == " ".join(f"{name}:T" for name in order) + " detector:A"
-        assert len(t.paths) == 1 + 15
+        assert (t.paths[0].events, len(t.paths)) == (" ".join(f"{name}:T" for name in order) + " detector:A", 1 + 15)
         (run,) = t.runs
         rays = (*run.start_rays(np.arange(300)), np.full(300, run.unit))
         ledger = nonsequential.trace(model, *rays, 550.0, flux_threshold=0.0)

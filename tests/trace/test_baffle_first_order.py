@@ -12,6 +12,7 @@ from mistray.analyses.pst.run import pst
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, VaneEdge, two_stage_baffle, vane_tube
 
 ANGLES = range(0, 81, 4)
+ONCE = {"rays": 100_000, "max_scatters": 1, "max_reflections": 0, "paths": False}
 
 
 def system(tube, without=()):
@@ -19,14 +20,10 @@ def system(tube, without=()):
     stages = (tube,) if hasattr(tube, "vanes") else (tube.outer, tube.inner)
     shapes = tube.structures(coating=Coating(R=0.0), scatter=(Scatter("paint", {"reflectance": 0.3}, name="grey"),))
     assert not (set(without) - {shape.name for shape in shapes})
-    front, rear = stages[0], stages[-1]
-    return Prescription(
-        name="tube",
-        surfaces=(),
-        structures=tuple(shape for shape in shapes if shape.name not in without),
-        detector=Detector(z=rear.z_rear, semi_diameter=rear.optic_radius, pixels=(8, 8)),
-        source=Source(radius=front.vanes[0].radius, z=front.z_front, plane="axis"),
-    )
+    kept, front, rear = tuple(shape for shape in shapes if shape.name not in without), stages[0], stages[-1]
+    detector = Detector(z=rear.z_rear, semi_diameter=rear.optic_radius, pixels=(8, 8))
+    source = Source(radius=front.vanes[0].radius, z=front.z_front, plane="axis")
+    return Prescription(name="tube", surfaces=(), structures=kept, detector=detector, source=source)
 
 
 def scattered(prescription, field_deg, scatters=1, rays=20_000):
@@ -51,7 +48,7 @@ def test_no_light_arrives_after_one_scatter_forwards():
     assert scattered(system(made), 30.0, scatters=2) > 1e-4
     made = tube(exclusion_deg=60.0, length=60.0)
     assert len(made.vanes) < len(tube(length=60.0).vanes)
-    found = pst(system(made).to_scene(), range(2, 83, 4), rays=100_000, max_scatters=1, max_reflections=0, paths=False)
+    found = pst(system(made).to_scene(), range(2, 83, 4), **ONCE)
     outside = np.array(found.field_deg) - 2 >= 60.0
     np.testing.assert_array_equal(found.stray[outside], 0)
     assert found.stray[~outside].max() > 0
@@ -59,20 +56,19 @@ def test_no_light_arrives_after_one_scatter_forwards():
 
 def test_no_light_arrives_after_one_scatter_backwards():
     """All angles and azimuths at once; the vane that is missing shows at the angles that light its gap."""
-    options = {"rays": 100_000, "max_scatters": 1, "max_reflections": 0, "paths": False}
     made = tube()
-    found = pst(system(made).to_scene(), ANGLES, **options)
+    found = pst(system(made).to_scene(), ANGLES, **ONCE)
     np.testing.assert_array_equal(found.stray, 0)
     assert ((found.value > 0) == (np.asarray(ANGLES) < made.direct_deg)).all()
     for k in range(2, len(made.vanes) + 1):
-        spoiled = pst(system(made, without=(f"tube_vane_{k}",)).to_scene(), [50.0], cell_deg=70.0, **options)
+        spoiled = pst(system(made, without=(f"tube_vane_{k}",)).to_scene(), [50.0], cell_deg=70.0, **ONCE)
         assert spoiled.stray[0] > 5 * spoiled.stray_se[0], f"without vane {k}"
 
 
 def test_bevels_hide_and_square_or_round_edges_do_not():
     """A rounded edge scatters in proportion to its radius; a bevel without rounding is as good as no thickness."""
     sharp = system(tube(edge=VaneEdge(thickness=0.6, bevel_deg=20.0)))
-    options = {"rays": 200_000, "max_scatters": 1, "max_reflections": 0, "paths": False}
+    options = ONCE | {"rays": 200_000}
     np.testing.assert_array_equal(pst(sharp.to_scene(), ANGLES, **options).stray, 0)
     assert scattered(system(tube(edge=VaneEdge(thickness=0.6))), 40.0) > 1e-4
     light = []

@@ -42,8 +42,7 @@ class TestPlates:
         assert_power("R", e.escaped_W / e.launched_W, returned, e.escaped_se_W / e.launched_W)
         orders = closed_forms.plate_orders(r, 4)
         for m, row in enumerate(t.paths[:4]):
-            assert row.order == 2 * m
-            assert row.rays == 4096
+            assert (row.order, row.rays) == (2 * m, 4096)
             assert_power(f"{2 * m} reflections", row.power_W / e.launched_W, orders[m], row.power_se_W / e.launched_W)
         assert t.paths[1].power_W / t.paths[0].power_W == pytest.approx(r**2, rel=ROUNDING)
         assert (t.paths[1].ghost_1, t.paths[1].ghost_2) == ("plate_rear", "plate_front")
@@ -102,64 +101,41 @@ class TestPlates:
 NARROW = 0.1  # radius of the beam, mm
 
 
-@pytest.fixture(scope="module")
-def ten_ghosts_trace():
-    scene = singlet_window_detector().with_source(radius=NARROW).to_scene()
-    return mistray.trace(scene, rays=60_000, flux_threshold=0.0)
-
-
-@pytest.fixture(scope="module")
-def ten_ghosts(ten_ghosts_trace):
+def test_ten_ghosts_of_a_lens_a_window_and_a_detector() -> None:
+    """In a narrow beam before a detector that reflects 20 %: paraxial optics."""
+    t = mistray.trace(singlet_window_detector().with_source(radius=NARROW).to_scene(), rays=60_000, flux_threshold=0.0)
     names = ["L1_front", "L1_rear", "window_front", "window_rear", "detector"]
-    doubles = [row for row in ten_ghosts_trace.paths if row.order == 2]
-    return {(names.index(row.ghost_2) + 1, names.index(row.ghost_1) + 1): row for row in doubles}
-
-
-@pytest.fixture(scope="module")
-def table() -> dict[tuple[int, int], dict[str, float]]:
+    ghosts = {(names.index(row.ghost_2) + 1, names.index(row.ghost_1) + 1): row for row in t.paths if row.order == 2}
     pair = ["second_reflecting_surface", "first_reflecting_surface"]
-    return vectors.frame("ghost_lens_window_det.csv").set_index(pair).to_dict("index")
-
-
-class TestSingletWindowDetector:
-    """The ten ghosts of a lens, a window and a detector that reflects 20 %, in a narrow beam: paraxial optics."""
-
-    def test_power(self, ten_ghosts_trace, ten_ghosts, table) -> None:
-        assert set(ten_ghosts) == set(table)
-        assert [row.rays for row in ten_ghosts_trace.paths] == [60_000] * 11
-        for pair, row in ten_ghosts.items():
-            share = row.incident_W / ten_ghosts_trace.energy.launched_W
-            assert_power(f"ghost {pair}", share, table[pair]["incident_power_per_W"])
-            assert row.power_W == pytest.approx(0.8 * row.incident_W, rel=ROUNDING)
-        # A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3
-        for pair, row in ten_ghosts.items():
-            radius = np.sqrt(2) * row.rms_radius_mm
-            expected = table[pair]["spot_radius_mm"] * (NARROW / 10.0)
-            se = np.sqrt(2) * row.rms_radius_se_mm
-            assert_within(f"radius of ghost {pair}", radius, expected, se, relative=3e-3)
-            assert se / radius < 1.5e-3
-            irradiance = row.rms_irradiance_W_mm2 / 2 / 0.8  # over the disc, incident
-            expected = table[pair]["irradiance_on_detector_per_entrance_irradiance"]
-            se = row.rms_irradiance_se_W_mm2 / 2 / 0.8
-            assert_within(f"irradiance of ghost {pair}", irradiance, expected, se, relative=6e-3)
-
-    def test_focus(self, ten_ghosts_trace, ten_ghosts) -> None:
-        """Where the rays of each ghost meet the axis, against the paraxial trace."""
-        n = 1.5168
-        r = closed_forms.normal_reflectance(1, n)
-        rows = [(0.0, 0.01, 1.0, n), (5.0, -0.01, n, 1.0), (85.0, 0.0, 1.0, n), (87.0, 0.0, n, 1.0)]
-        surfaces = [closed_forms.ParaxialSurface(*row, r, 1 - r) for row in rows]
-        z = 87.0 + closed_forms.back_focus(surfaces)[1]
-        for ghost in closed_forms.paraxial_ghosts(surfaces, z, 0.2, NARROW):
-            row = ten_ghosts[ghost.second, ghost.first]
-            for points in ten_ghosts_trace.history(row.path_id, 4).rays:
-                end, before = points[-1], points[-2]
-                slope = np.hypot(*(end - before)[:2]) / (end - before)[2]
-                slope *= np.sign(np.dot((end - before)[:2], end[:2]))
-                focus = end[2] - np.hypot(*end[:2]) / slope
-                # the rim of the narrow beam: aberrations of 1e-4 of the distance to the focus
-                distance = abs(ghost.height / ghost.slope)
-                assert focus == pytest.approx(z - ghost.height / ghost.slope, abs=3e-4 * distance)
+    table = vectors.frame("ghost_lens_window_det.csv").set_index(pair).to_dict("index")
+    assert (set(ghosts), [row.rays for row in t.paths]) == (set(table), [60_000] * 11)
+    # A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3
+    for pair, row in ghosts.items():
+        assert_power(f"ghost {pair}", row.incident_W / t.energy.launched_W, table[pair]["incident_power_per_W"])
+        assert row.power_W == pytest.approx(0.8 * row.incident_W, rel=ROUNDING)
+        radius, se = np.sqrt(2) * row.rms_radius_mm, np.sqrt(2) * row.rms_radius_se_mm
+        expected = table[pair]["spot_radius_mm"] * (NARROW / 10.0)
+        assert_within(f"radius of ghost {pair}", radius, expected, se, relative=3e-3)
+        assert se / radius < 1.5e-3
+        irradiance = row.rms_irradiance_W_mm2 / 2 / 0.8  # over the disc, incident
+        expected = table[pair]["irradiance_on_detector_per_entrance_irradiance"]
+        se = row.rms_irradiance_se_W_mm2 / 2 / 0.8
+        assert_within(f"irradiance of ghost {pair}", irradiance, expected, se, relative=6e-3)
+    # Where the rays of each ghost meet the axis, against the paraxial trace
+    n = 1.5168
+    r = closed_forms.normal_reflectance(1, n)
+    rows = [(0.0, 0.01, 1.0, n), (5.0, -0.01, n, 1.0), (85.0, 0.0, 1.0, n), (87.0, 0.0, n, 1.0)]
+    surfaces = [closed_forms.ParaxialSurface(*row, r, 1 - r) for row in rows]
+    z = 87.0 + closed_forms.back_focus(surfaces)[1]
+    for ghost in closed_forms.paraxial_ghosts(surfaces, z, 0.2, NARROW):
+        for points in t.history(ghosts[ghost.second, ghost.first].path_id, 4).rays:
+            end, before = points[-1], points[-2]
+            slope = np.hypot(*(end - before)[:2]) / (end - before)[2]
+            slope *= np.sign(np.dot((end - before)[:2], end[:2]))
+            focus = end[2] - np.hypot(*end[:2]) / slope
+            # the rim of the narrow beam: aberrations of 1e-4 of the distance to the focus
+            distance = abs(ghost.height / ghost.slope)
+            assert focus == pytest.approx(z - ghost.height / ghost.slope, abs=3e-4 * distance)
 
 
 class TestGhostCounts:
@@ -180,13 +156,11 @@ class TestGhostCounts:
         t = mistray.trace(scene, rays=64, max_reflections=2, flux_threshold=0.0)
         ghosts = [row for row in t.paths if row.order == 2]
         assert len(ghosts) == surfaces * (surfaces - 1) // 2 == closed_forms.ghost_count(surfaces, 2)
-        assert len(t.paths) == len(ghosts) + 1
-        assert t.paths[0].kind == "direct"
+        assert (len(t.paths), t.paths[0].kind) == (len(ghosts) + 1, "direct")
         events = {tuple(row.event_list): row for row in ghosts}
         for second, first in closed_forms.ghost_sequences(surfaces, 2):
             row = events[tuple(closed_forms.ghost_events(names, (second, first), "detector"))]
-            assert row.kind == "ghost"
-            assert row.rays == 64
+            assert (row.kind, row.rays) == ("ghost", 64)
             power = self.R**2 * (1 - self.R) ** row.path.count("T")
             assert row.power_W / t.energy.launched_W == pytest.approx(power, rel=2e-6)
 
@@ -221,10 +195,7 @@ class TestTotalReflection:
         assert (strongest.kind, strongest.order) == ("TIR", 0)
         assert strongest.tir == strongest.event_list.count(("rod_side", "TIR")) >= 2
         none = mistray.trace(scene, max_reflections=0, **mean)
-        cos_i = np.cos(np.radians(30.0))
-        cos_t = np.sqrt(1 - 0.25 / 2.25)
-        rs, rp = (cos_i - 1.5 * cos_t) / (cos_i + 1.5 * cos_t), (1.5 * cos_i - cos_t) / (1.5 * cos_i + cos_t)
-        direct = (1 - 0.5 * (rs**2 + rp**2)) ** 2
+        direct = (1 - np.mean(closed_forms.fresnel(30.0, 1.5))) ** 2
         assert_power("total reflections are free", none.energy.detected_W / e.launched_W, direct)
 
     def test_critical_angle(self, load_text) -> None:
@@ -242,11 +213,8 @@ class TestTotalReflection:
         share, total, kept = (t.energy.detected_W / t.energy.launched_W for t in (below, above, coated))
         assert (total, kept) == pytest.approx((1.0, 0.8), rel=ROUNDING)
         assert coated.energy.absorbed["face"][0] / coated.energy.launched_W == pytest.approx(0.2, rel=ROUNDING)
-        n, sin_t = 1.5, 1.5 * np.sin(np.radians(41.7))
-        cos_i, cos_t = np.cos(np.radians(41.7)), np.sqrt(1 - sin_t**2)
-        rs, rp = (n * cos_i - cos_t) / (n * cos_i + cos_t), (cos_i - n * cos_t) / (cos_i + n * cos_t)
-        # cos_t = 0.064 comes from 1 - sin²: float32 leaves it 1e-5
-        assert share == pytest.approx(0.5 * (rs**2 + rp**2), rel=1e-4)
+        # The cosine of refraction, 0.064, comes from 1 - sin²: float32 leaves it 1e-5
+        assert share == pytest.approx(np.mean(closed_forms.fresnel(41.7, 1 / 1.5)), rel=1e-4)
         assert below.energy.escaped_W / below.energy.launched_W == pytest.approx(1 - share, rel=1e-4)
 
 
@@ -402,13 +370,9 @@ def scattered(t: mistray.Trace) -> tuple[float, float]:
 class TestFacingPlates:
     """Irradiance of a detector by an illuminated plate; a detector of 0.1 mm at 100 mm is a point to 2e-5."""
 
-    @pytest.mark.parametrize(
-        ("case", "angle_deg"),
-        [
-            *(("Lambertian plate rho=.05", angle) for angle in (0, 30, 60)),
-            *(("ABg plate normal inc", angle) for angle in (5, 30, 60)),
-        ],
-    )
+    CASES = [("Lambertian plate rho=.05", (0, 30, 60)), ("ABg plate normal inc", (5, 30, 60))]
+
+    @pytest.mark.parametrize(("case", "angle_deg"), [(case, angle) for case, angles in CASES for angle in angles])
     def test_irradiance(self, load_scene: Load, case: str, angle_deg: int) -> None:
         lambertian = case.startswith("Lambertian")
         axis = axis_at(180 - angle_deg if lambertian else angle_deg)

@@ -62,13 +62,10 @@ class TestAll:
         assert list(everything.ray) == list(range(len(everything)))
         for row in triplet.paths:
             rays = everything[everything.path_id == row.path_id]
-            assert len(rays) == row.rays
-            assert rays.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-6)
-            assert set(rays.kind) == {row.kind}
-            assert set(rays.wavelength_nm) == {row.wavelength_nm}
+            assert (len(rays), rays.flux_W.sum()) == (row.rays, pytest.approx(row.incident_W, rel=1e-6))
+            assert (set(rays.kind), set(rays.wavelength_nm)) == ({row.kind}, {row.wavelength_nm})
             intercepts = [what for _, what in row.event_list]
-            assert set(rays.history) == {" ".join(intercepts)}
-            assert set(rays.type) == {intercepts[-2]}
+            assert (set(rays.history), set(rays.type)) == ({" ".join(intercepts)}, {intercepts[-2]})
             assert set(rays.node) == {len(intercepts)}
             assert rays.detector_x_mm.mean() == pytest.approx(row.x_mm, abs=max(4 * row.x_se_mm, 1e-4))
         few = triplet.rays(n=40).merge(everything, on=["path_id", "start_ray", "history", "x_mm", "y_mm", "flux_W"])
@@ -165,8 +162,7 @@ class TestSelection:
         table = triplet.rays(f"path_id = {row.path_id}", n=3, events=True)
         rays = triplet.rays(f"path_id = {row.path_id}", n=3)
         known = triplet.history(row.path_id, row.rays).to_pandas()
-        assert len(table) == 3 * (len(row.event_list) + 1)
-        assert set(table.path_id) == {row.path_id}
+        assert (len(table), set(table.path_id)) == (3 * (len(row.event_list) + 1), {row.path_id})
         for number, ray in table.groupby("ray"):
             same = known[known.start_ray == ray.start_ray.iloc[0]].reset_index(drop=True)
             ray = ray.reset_index(drop=True)
@@ -263,17 +259,12 @@ def test_air_between_mirrors_counts() -> None:
         np.testing.assert_allclose(ray.opl_mm, expected, rtol=1e-9)
 
 
-@pytest.fixture(scope="module")
-def traced() -> mistray.Trace:
-    return mistray.trace(mistray.load("singlet_window_detector"), rays=60, field_deg=5.0)
-
-
-def test_rays_of_the_ledger_filters_and_numbers(traced) -> None:
+def test_rays_of_the_ledger_filters_and_numbers() -> None:
+    traced = mistray.trace(mistray.load("singlet_window_detector"), rays=60, field_deg=5.0)
     for name in ("window_front", "barrel_1_wall", "detector"):
         (row,) = [row for row in traced.surfaces if row.id == name]
         table = traced.rays_at(row.id, n=None)
-        assert len(table) == row.hits
-        assert set(table.surface) == {row.id}
+        assert (len(table), set(table.surface)) == (row.hits, {row.id})
         assert table.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-6)
         np.testing.assert_allclose((table[["dx", "dy", "dz"]] ** 2).sum(axis=1), 1, rtol=1e-6)
     walls = sum(row.absorbed_W for row in traced.surfaces if row.id != "detector")  # they are black
@@ -292,8 +283,7 @@ def test_rays_of_the_ledger_filters_and_numbers(traced) -> None:
             whole(n=2.5)
     assert table.history.str.contains("window_rear:SpecRefl").all()
     nodes = traced.rays_at("escaped", n=5, events=True)
-    assert nodes.ray.nunique() == 5
-    assert set(nodes.intercept[nodes.node == 0]) == {"Emitted"}
+    assert (nodes.ray.nunique(), set(nodes.intercept[nodes.node == 0])) == (5, {"Emitted"})
     for where, selection, words in (
         ("windw", "", "'window'"),
         ("blockd", "", "'blocked'"),
@@ -352,12 +342,8 @@ def test_the_command_writes_rays_that_arrive(tmp_path, capsys):
 RAYS = 5000
 
 
-@pytest.fixture(scope="module")
-def report():
-    return mistray.ghosts(mistray.load("singlet_window_detector"), field_deg=[0.0, 2.0], rays=RAYS)
-
-
-def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
+def test_boxes_samples_and_histories_of_a_report(monkeypatch):
+    report = mistray.ghosts(mistray.load("singlet_window_detector"), field_deg=[0.0, 2.0], rays=RAYS)
     t = report[2.0]
     by_events = dict(zip(report.table(2.0).events, report.table(2.0).path_id, strict=True))
     maps = report.path_maps(2.0, list(by_events.values()))
@@ -379,7 +365,6 @@ def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
             stored = type(m)(m.pixels, m.column, m.row, rounded).within(columns, rows)
             assert stored == pytest.approx(power, rel=2e-3)
     # Sampled rays are rays of their path
-    t = report[2.0]
     ids = [row.path_id for row in t.paths[:12]]
     sample = t.sampled_rays(ids, 20)
     assert list(sample) == ids
@@ -400,7 +385,6 @@ def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
         np.testing.assert_allclose(ray.points, every[ray.start_ray].points, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(ray.flux_W, every[ray.start_ray].flux_W, rtol=1e-6)
     # A batch of more start rays than the recorder holds: not those of one corner of the beam alone
-    t = report[0.0]
     whole = np.array([ray[0, :2] for ray in t.history(0, RAYS).rays])
     monkeypatch.setattr(tracer, "RECORD_CAPACITY", 16)  # of 125 start rays of a batch
     few = np.array([ray[0, :2] for ray in t.history(0, 16).rays])

@@ -20,7 +20,7 @@ from mistray.recorders.ledger import SUMS
 from mistray.recorders.sampled import ERROR_RAYS
 from mistray.settings import BATCHES
 from mistray.trace import PathRow
-from mistray.trace.path_numbers import HitSums, PathNumbers, path_numbers
+from mistray.trace.path_numbers import HitSums, path_numbers
 
 pytestmark = pytest.mark.quick
 
@@ -76,8 +76,7 @@ class TestMaps:
         for row in t.paths[1:4]:
             table = t.history(row.path_id, 10_000).to_pandas()
             hits = table[table.intercept == "Absorbed"]
-            assert len(hits) == row.rays
-            assert hits.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-9)
+            assert (len(hits), hits.flux_W.sum()) == (row.rays, pytest.approx(row.incident_W, rel=1e-9))
             assert np.average(hits.x_mm, weights=hits.flux_W) == pytest.approx(row.x_mm, abs=1e-4)
 
     def test_everything(self, triplet) -> None:
@@ -196,8 +195,7 @@ def test_wavelengths_with_weights(load_text) -> None:
     colours = '<string name="wavelength_nm" value="486.1, 656.3"/><string name="weights" value="3, 1"/></emitter>'
     text = plates_text(1, index="N-BK7 k=0").replace("</emitter>", colours)
     t = mistray.trace(load_text(text)[0], rays=4000)
-    assert t.settings["wavelength_nm"] == [486.1, 656.3]
-    assert t.settings["rays"] == 4000
+    assert (t.settings["wavelength_nm"], t.settings["rays"]) == ([486.1, 656.3], 4000)
     direct = {row.wavelength_nm: row for row in t.paths if row.order == 0}
     assert set(direct) == {486.1, 656.3}
     for wavelength, share in ((486.1, 0.75), (656.3, 0.25)):
@@ -221,13 +219,9 @@ def test_wavelengths_with_weights(load_text) -> None:
 
 class TestArguments:
     def test_the_scene_has_the_first_word_and_the_call_the_last(self, load_text) -> None:
-        text = plates_text(1).replace(
-            '<integrator type="straylight"/>',
-            '<integrator type="straylight"><integer name="rays" value="77"/><integer name="max_reflections" value="4"/>'
-            '<float name="flux_threshold" value="1e-6"/><string name="splitting" value="split"/>'
-            '<integer name="seed" value="9"/></integrator>',
-        )
-        scene, _ = load_text(text)
+        given = {"rays": 77, "max_reflections": 4, "flux_threshold": 1e-6, "splitting": "split", "seed": 9}
+        own = bsdf_xml("straylight", **given).replace("bsdf", "integrator")
+        scene, _ = load_text(plates_text(1).replace('<integrator type="straylight"/>', own))
         own = mistray.trace(scene).settings
         assert (own["rays"], own["max_reflections"], own["flux_threshold"], own["seed"]) == (77, 4, 1e-6, 9)
         given = mistray.trace(scene, rays=50, max_reflections=0, seed=0, flux_threshold=0.0).settings
@@ -385,22 +379,16 @@ EXPECTED = 60.0  # light rays of a path, of weight 1
 STARTED = np.full(BATCHES, 1000.0)
 
 
-def paths_of_a_kind(rng: np.random.Generator, heavy: float, weight: float) -> PathNumbers:
-    """Paths of `EXPECTED` rays of weight 1 each, and of so many heavy ones, all by chance."""
-    sums = np.zeros((ROWS, BATCHES, SUMS))
-    for row in sums:
-        light, few = rng.poisson(EXPECTED), rng.poisson(heavy)
-        w = np.concatenate([np.ones(light), np.full(few, weight)])
-        row[:] = hit_sums(rng.integers(0, BATCHES, len(w)), w, *rng.standard_normal((2, len(w))))
-    return path_numbers([HitSums(sums, STARTED, 1.0)])
-
-
 def deviations(heavy: float, weight: float) -> tuple[np.ndarray, np.ndarray]:
-    """(value - truth)/error of every path in every seed, by all errors and by those that are given."""
+    """(value - truth)/error of paths of `EXPECTED` light and some heavy rays, by all errors and by those given."""
     rng = np.random.default_rng(5)
     truth, every, given = EXPECTED + heavy * weight, [], []
     for _ in range(SEEDS):
-        numbers = paths_of_a_kind(rng, heavy, weight)
+        sums = np.zeros((ROWS, BATCHES, SUMS))
+        for row in sums:
+            w = np.concatenate([np.ones(rng.poisson(EXPECTED)), np.full(rng.poisson(heavy), weight)])
+            row[:] = hit_sums(rng.integers(0, BATCHES, len(w)), w, *rng.standard_normal((2, len(w))))
+        numbers = path_numbers([HitSums(sums, STARTED, 1.0)])
         for columns, found in ((numbers.columns, every), (numbers.judged(np.zeros(ROWS, dtype=np.int64)), given)):
             with np.errstate(divide="ignore"):
                 z = (columns["power_W"] - truth) / columns["power_se_W"]
