@@ -13,19 +13,9 @@ from refusals import each_refused, refused
 from singlet_files import plano_convex
 
 import mistray
-from mistray.coatings import (
-    PRESETS,
-    Bare,
-    CoatingTable,
-    Ideal,
-    Layer,
-    Stack,
-    fitted_preset,
-    layer_text,
-    preset,
-    spectrum,
-)
+from mistray.coatings import PRESETS, Bare, CoatingTable, Ideal, Layer, Stack, layer_text, preset, spectrum
 from mistray.coatings.files import coating_from_text, read_coating, write_table
+from mistray.coatings.fitted_to_substrate import fitted_preset
 from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.materials import complex_index, nearest_known_nm, refractive_index, source
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface
@@ -45,29 +35,21 @@ def layers(stack) -> list[tuple[str, float]]:
     return [(layer.material.rpartition(":")[2], round(layer.thickness_nm, 4)) for layer in stack.layers]
 
 
-def test_names(file) -> None:
-    names = "AR AR2 HR HL2 ALUM SLOPED I.98 SPLIT CLEAR RETARDER MEASURED VENDOR.ZEC"
-    assert list(file) == names.split()
-    assert file["ar"] == file["AR"]
-
-
 def test_the_ends_of_tables_are_within(tmp_path: Path) -> None:
     """0.6328 · 1000 is a little more than 632.8, and 0.6342 · 1000 a little less than 634.2."""
-    path = tmp_path / "COATING.DAT"
     table = "TABLE T\nANGL 0\nWAVE 0.6328 .1 .1 .9 .9\nWAVE 0.6342 0 0 1 1\n"
-    path.write_text(f"MATE HENE\n0.6328 1.5 0\n0.6342 1.4 0\n{table}")
+    path = write(tmp_path, f"MATE HENE\n0.6328 1.5 0\n0.6342 1.4 0\n{table}", "COATING.DAT")
     coating = read_coating_file(path)["T"]
     for nm, n, r in ((632.8, 1.5, 0.1), (634.2, 1.4, 0.0)):
-        assert complex_index(f"{path}:HENE", nm) == n
-        assert coating.response(nm, AIR, GLASS, ONE, True).R[0, 0] == r
+        assert (complex_index(f"{path}:HENE", nm), coating.response(nm, AIR, GLASS, ONE, True).R[0, 0]) == (n, r)
 
 
 def test_materials(tmp_path: Path) -> None:
     """By their strings: k changes its sign, tables are interpolated, one row holds everywhere."""
     assert complex_index(f"{SAMPLE}:AL", 550.0) == 0.958 + 6.69j
     assert complex_index(f"{SAMPLE}:zro2", 475.0) == pytest.approx(2.085 + 0.00015j, abs=1e-12)
-    path = tmp_path / "COATING.DAT"
-    path.write_text("! coating materials\nMATE MGF2\n0.40 1.385 0.0\n0.60 1.375 -0.001\nMATE FLAT\n0.55 2.1 -0.02\n")
+    rows = "MATE MGF2\n0.40 1.385 0.0\n0.60 1.375 -0.001\nMATE FLAT\n0.55 2.1 -0.02\n"
+    path = write(tmp_path, f"! coating materials\n{rows}", "COATING.DAT")
     assert complex_index(f"{path}:mgf2", 500.0) == pytest.approx(1.38 + 0.0005j, abs=1e-14)
     assert complex_index(f"{path}:MGF2 k=0", 500.0).imag == 0
     assert source(f"{path}:MGF2").k_range_nm == pytest.approx((400.0, 600.0))
@@ -87,8 +69,7 @@ class TestLayers:
         # Waves are those of the primary wavelength. OpticStudio's own example: T = 0.25, n = 1.4 at 0.55 µm gives
         # 0.0982 µm; here by its formula.
         (layer,) = read_coating_file(SAMPLE, 600.0)["AR"].layers
-        n = 1.378 + (1.3761 - 1.378) / 3
-        assert layer.thickness_nm == pytest.approx(0.25 * 600 / n, rel=1e-12)
+        assert layer.thickness_nm == pytest.approx(0.25 * 600 / (1.378 + (1.3761 - 1.378) / 3), rel=1e-12)
         # The first is the outermost from either side
         assert file["AR2"].first == "outside"
         sides = ((AIR, GLASS, True), (GLASS, AIR, False))
@@ -110,13 +91,12 @@ class TestLayers:
         stack = file.mirror("ALUM")
         assert stack.opaque
         np.testing.assert_allclose(stack.response(550.0, AIR, AIR, ONE, True).R, 0.921136, atol=5e-7)
-        as_window = file["ALUM"].response(550.0, AIR, AIR, ONE, True)
-        assert as_window.R.max() < 0.05, "0.1 nm of aluminium is no mirror"
+        assert file["ALUM"].response(550.0, AIR, AIR, ONE, True).R.max() < 0.05, "0.1 nm of aluminium is no mirror"
 
     def test_a_clear_substrate_of_a_mirror_has_no_rear(self, tmp_path: Path) -> None:
         """4 % of n = 1.5, whatever the wavelength and the thickness in the file; under a quarter wave as on a lens."""
-        path = tmp_path / "COATING.DAT"
-        path.write_text("MATE G\n0.5 1.5 0\n12 1.5 0\nMATE H\n0.5 2.3 0\n12 2.3 0\nCOAT G\nG 1\nCOAT H\nH 0.25\nG 1\n")
+        text = "MATE G\n0.5 1.5 0\n12 1.5 0\nMATE H\n0.5 2.3 0\n12 2.3 0\nCOAT G\nG 1\nCOAT H\nH 0.25\nG 1\n"
+        path = write(tmp_path, text, "COATING.DAT")
         file, layer = read_coating_file(path), Stack((Layer("2.3", 0.25 * 550 / 2.3),))
         for nm in (500.0, 633.0, 10600.0):
             np.testing.assert_allclose(file.mirror("G").response(nm, AIR, AIR, ONE, True).R, 0.04, atol=1e-6)
@@ -131,8 +111,10 @@ class TestLayers:
         np.testing.assert_allclose(table.response(500.0, AIR, AIR, at_45, False).R, [[0.05, 0.02]], atol=1e-12)
 
 
-def test_ideal_coatings_tables_and_what_is_not_known(file) -> None:
+def test_names_ideal_coatings_tables_and_what_is_not_known(file) -> None:
     """Of the retarder s is real, p has a quarter wave in both: in mistray's exp(-iωt) the sign is turned."""
+    names = "AR AR2 HR HL2 ALUM SLOPED I.98 SPLIT CLEAR RETARDER MEASURED VENDOR.ZEC"
+    assert (list(file), file["ar"]) == (names.split(), file["AR"])
     assert file["SPLIT"] == Ideal(0.5, 0.4, "SPLIT")
     np.testing.assert_allclose([file["CLEAR"].R, file["I.98"].T, file["I.98"].R], [0.01, 0.98, 0.02])
     retarder = file["RETARDER"]
@@ -177,19 +159,15 @@ GREY = Stack((Layer("1.38", 95.0), Layer("2.2+0.2i", 20.0)), name="grey")
 
 
 def test_names_of_coatings(tmp_path: Path) -> None:
-    assert coating_from_text("bare") == Bare()
-    assert coating_from_text(" bbar3 ", 600.0) == preset("bbar3", 600.0)
+    assert (coating_from_text("bare"), coating_from_text(" bbar3 ", 600.0)) == (Bare(), preset("bbar3", 600.0))
     assert coating_from_text("1.38 0.25w", 600.0) == Stack((Layer("1.38", 0.25 * 600 / 1.38),), name="1.38 0.25w")
-    (tmp_path / "ar.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n")
-    assert isinstance(coating_from_text(str(tmp_path / "ar.csv")), CoatingTable)
+    table = write(tmp_path, "wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n", "ar.csv")
+    assert isinstance(coating_from_text(str(table)), CoatingTable)
     assert coating_from_text(f"{SAMPLE}:SPLIT") == Ideal(0.5, 0.4, "SPLIT")
     (tmp_path / "c.dat").write_text("COAT I.²\n", encoding="utf-8")
     assert coating_from_text(f"{tmp_path / 'c.dat'}:I.²") == Stack((), name="I.²")  # no transmittance: ² is no decimal
     assert read_coating(f"{SAMPLE.name}:ALUM", mirror=True, resolve=lambda path: str(SAMPLE.parent / path)).opaque
-
-
-def test_waves_of_a_coating_put_on_by_name() -> None:
-    """They are those of the light that the caller names, as of layers; a stated wavelength goes first."""
+    # Waves are those of the light that the caller names, as of layers; a stated wavelength goes first
     for text, nm in ((f"{SAMPLE}:AR", 600.0), (f"{SAMPLE}:AR design_nm=650", 650.0), (f"{SAMPLE}:SPLIT", 600.0)):
         assert coating_of(text, design_nm=600.0).design_nm == nm
 
@@ -337,8 +315,7 @@ def test_coat_fits_each_glass_and_says_what_it_reached(tmp_path: Path, capsys: p
     for surface, body in (("L1_front", "N-LAK9"), ("L2_rear", "N-SF5")):
         own, wanted = shapes[surface].coating.layers, found[body].stack.layers
         assert [layer.material for layer in own] == [layer.material for layer in wanted]
-        thickness = [layer.thickness_nm for layer in wanted]
-        assert [layer.thickness_nm for layer in own] == pytest.approx(thickness, rel=1e-6)
+        assert [layer.thickness_nm for layer in own] == pytest.approx([x.thickness_nm for x in wanted], rel=1e-6)
     assert shapes["L1_front"].coating is shapes["L3_rear"].coating
 
 
@@ -383,8 +360,7 @@ def test_presets_as_designed_are_named_on_other_bodies() -> None:
 def test_commands_with_a_coating_say_what_it_reached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An import prints it and keeps it in the file; other commands print it on stderr, unless they are to be quiet."""
     note = str(fitted_preset("bbar3", "N-SF6"))
-    lens = tmp_path / "lens.zmx"
-    lens.write_text(plano_convex("N-SF6 0 0 1.8 25", "SCHOTT", 0.55))
+    lens = write(tmp_path, plano_convex("N-SF6 0 0 1.8 25", "SCHOTT", 0.55), "lens.zmx")
     scene = tmp_path / "lens.xml"
     assert succeeds(capsys, "import", lens, "--coating", "S1=bbar3", "-o", scene).count(note) == 1
     assert note in scene.read_text()

@@ -7,20 +7,11 @@ import numpy as np
 import pytest
 import vectors
 from oracles import glass
+from oracles.small_scenes import write as write_file
 from refusals import refused
 
-from mistray.materials import (
-    LINE_C_NM,
-    LINE_D_NM,
-    LINE_F_NM,
-    BulkScatter,
-    bulk_scatter,
-    complex_index,
-    refractive_index,
-    resolved,
-    shifted,
-    source,
-)
+from mistray import materials
+from mistray.materials import LINE_C_NM, LINE_D_NM, LINE_F_NM, BulkScatter, complex_index, refractive_index, source
 from mistray.materials.formulas import AGF_FORMULAS
 
 N_BK7 = vectors.text("n_bk7.agf")
@@ -32,9 +23,7 @@ def write(tmp_path):
     """Write a file and give the material string of one of its glasses."""
 
     def write(text, name="N-BK7", encoding="utf-8"):
-        path = tmp_path / "makers.agf"
-        path.write_bytes(text.encode(encoding))
-        return f"{path}:{name}"
+        return f"{write_file(tmp_path, text.encode(encoding), 'makers.agf')}:{name}"
 
     return write
 
@@ -46,8 +35,7 @@ def k_of(transmittance, thickness_mm, wavelength_nm):
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
 def test_index_and_transmittance_in_every_encoding(write, encoding):
     """The accent makes Latin-1 differ from UTF-8."""
-    text = f"CC Test catalogue\n! a remarqué\n{N_BK7}".replace("\n", "\r\n")
-    material = write(text, encoding=encoding)
+    material = write(f"CC Test catalogue\n! a remarqué\n{N_BK7}".replace("\n", "\r\n"), encoding=encoding)
     assert refractive_index(material, LINE_D_NM) == pytest.approx(glass.refractive_index("N-BK7", LINE_D_NM), abs=1e-12)
     assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
     assert (source(material).n_range_nm, source(material).k_range_nm) == ((300.0, 2500.0), (350.0, 500.0))
@@ -89,8 +77,7 @@ def test_transmittances_without_k_and_a_glass_among_others(write):
     assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
     # Whatever capitals and wrong lines; coefficients may go on in the next line; a changed file is read again
     other = N_BK7.replace("N-BK7", "OTHER").replace("1.03961212E+00", "1.2")
-    own = N_BK7.replace(" 2.00179144E-02", "\n 2.00179144E-02")
-    text = other + own + "NM BAD 77 0 1.5 60\nCD one two\n"
+    text = other + N_BK7.replace(" 2.00179144E-02", "\n 2.00179144E-02") + "NM BAD 77 0 1.5 60\nCD one two\n"
     assert refractive_index(write(text, "n-bk7"), LINE_D_NM) == pytest.approx(1.5168, abs=1e-5)
     assert refractive_index(write(text, "Other"), LINE_D_NM) > 1.56
     for name in ("N-BK8", "zzz"):
@@ -112,8 +99,7 @@ def test_every_formula_is_read_from_a_file(write, number):
 @pytest.fixture
 def write_csv(tmp_path):
     def write_csv(text):
-        (tmp_path / "my glass.csv").write_text(text, encoding="utf-8")
-        return str(tmp_path / "my glass.csv")
+        return str(write_file(tmp_path, text, "my glass.csv"))
 
     return write_csv
 
@@ -162,8 +148,7 @@ def test_numbers(text, n):
 
 def test_nd_and_vd_come_back_and_tables_are_linear():
     nd, nf, nc = (refractive_index("nd=1.632 Vd=23.3", line) for line in (LINE_D_NM, LINE_F_NM, LINE_C_NM))
-    assert nd == pytest.approx(1.632, abs=1e-15)
-    assert (nd - 1) / (nf - nc) == pytest.approx(23.3, rel=1e-12)
+    assert (nd, (nd - 1) / (nf - nc)) == (pytest.approx(1.632, abs=1e-15), pytest.approx(23.3, rel=1e-12))
     text = "n(587.6)=1.53116 n(486.1)=1.5378 k=0"
     assert complex_index(text, 587.6) == 1.53116
     assert complex_index(text, 536.85) == pytest.approx((1.53116 + 1.5378) / 2, abs=1e-15)
@@ -189,10 +174,9 @@ def test_an_explicit_k_a_shift_of_n_and_extrapolation():
     assert complex_index("N-BK7 shift=-2e-3", 550.0) == complex(n - 2e-3, k)
     assert refractive_index("SCHOTT/N-BK7 shift = 0.25 k=0", 550.0) == n + 0.25
     assert refractive_index("air shift=-1e-4", 550.0) == 1 - 1e-4  # not an error, though glass has n of at least 1
-    assert shifted("N-BK7", 0.0) == "N-BK7"
-    assert shifted("N-BK7 k=0", np.float64(1e-5)) == "N-BK7 k=0 shift=1e-05"
-    assert shifted(" N-BK7 shift=0.5 k=0", 0.25) == "N-BK7 k=0 shift=0.75"
-    assert shifted("N-BK7 shift=0.5", -0.5) == "N-BK7"
+    assert materials.shifted("N-BK7", 0.0) == materials.shifted("N-BK7 shift=0.5", -0.5) == "N-BK7"
+    assert materials.shifted("N-BK7 k=0", np.float64(1e-5)) == "N-BK7 k=0 shift=1e-05"
+    assert materials.shifted(" N-BK7 shift=0.5 k=0", 0.25) == "N-BK7 k=0 shift=0.75"
     # N-BK7 from 300 nm on: at 280 nm its Sellmeier formula and the k of 300 nm; a table of n keeps its end, too
     assert refractive_index("N-BK7 extrapolate", 280.0) == pytest.approx(glass.refractive_index("N-BK7", 280.0), 1e-12)
     assert complex_index("N-BK7 extrapolate", 280.0).imag == complex_index("N-BK7", 300.0).imag
@@ -215,7 +199,7 @@ def test_scatter_in_the_volume():
         ("nd=1.544 Vd=56.1 k=0 scatter=1e-3 g=0.9", "nd=1.544 Vd=56.1", BulkScatter(1e-3, 0.9)),
         ("1.5 g=-0.5 scatter=2 extrapolate", "1.5", BulkScatter(2.0, -0.5)),
     ):
-        assert bulk_scatter(text) == expected
+        assert materials.bulk_scatter(text) == expected
         assert refractive_index(text, 550.0) == refractive_index(material, 550.0)
 
 
@@ -230,8 +214,7 @@ def test_an_unknown_k_is_an_error_and_not_zero(text):
 
 def test_k_has_its_own_range():
     """YbF3: n from 400 to 14000 nm, k from 9016.8 nm on."""
-    assert source("YbF3").n_range_nm == (400.0, 14000.0)
-    assert source("YbF3").k_range_nm == (9016.8, 13975.0)
+    assert (source("YbF3").n_range_nm, source("YbF3").k_range_nm) == ((400.0, 14000.0), (9016.8, 13975.0))
     assert refractive_index("YbF3", 2000.0) == pytest.approx(1.49, abs=0.02)
     with refused(r"k of material 'YbF3': 2000 nm is outside its 9016\.8 … 13975 nm"):
         complex_index("YbF3", 2000.0)
@@ -241,4 +224,4 @@ def test_k_has_its_own_range():
 
 @pytest.mark.parametrize(("text", "expected"), vectors.toml("tables.toml")["places of files"])
 def test_resolved(text, expected):
-    assert resolved(text, lambda path: f"/data/{path}") == expected
+    assert materials.resolved(text, lambda path: f"/data/{path}") == expected

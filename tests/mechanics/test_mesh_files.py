@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import vectors
+from oracles.small_scenes import write
 from refusals import refused
 
 from mistray._mitsuba_compat import mesh_arrays
@@ -18,7 +19,6 @@ from mistray.mechanics.ply import ply_bytes
 
 pytestmark = pytest.mark.quick
 
-DATA = Path(__file__).parents[1] / "data"
 CORNERS = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 4.0)]
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]  # a tetrahedron of 4 mm³, normals outwards
 OBJ = vectors.text("two_parts.obj")
@@ -83,9 +83,7 @@ def gltf_text(uri: str | None) -> str:
 
 
 def written(tmp_path: Path, name: str, content: str | bytes) -> Path:
-    path = tmp_path / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
+    return write(tmp_path, content, name)
 
 
 def volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
@@ -116,8 +114,7 @@ class TestFormats:
         assert parts[1].vertices[:, 0].min() == 10
         path = written(tmp_path, "a.ply", ply_bytes(np.array([(9.0, 9.0, 9.0), *CORNERS]), np.array(FACES) + 1))
         vertices, triangles = mesh_arrays(mi.load_dict({"type": "ply", "filename": str(path)}))
-        assert len(vertices) == 4
-        assert volume(vertices, triangles.astype(int)) == pytest.approx(4)
+        assert (len(vertices), volume(vertices, triangles.astype(int))) == (4, pytest.approx(4))
 
     @pytest.mark.parametrize(("name", "content"), [("a.glb", glb()), ("a.gltf", gltf_text(None))])
     def test_nodes_of_a_gltf(self, name: str, content: str | bytes, tmp_path: Path) -> None:
@@ -176,7 +173,7 @@ def test_wrong_options(tmp_path: Path) -> None:
         with refused(f"{name} = 0.1; it is for STEP files, leave it out"):
             read_mechanics(path, **{name: 0.1})
         with refused(f"{name} = 0; it must be greater than 0"):
-            read_mechanics(DATA / "vane_tube.step", **{name: 0.0})
+            read_mechanics(vectors.DATA / "vane_tube.step", **{name: 0.0})
     with refused("unit 'furlong' is unknown"):
         read_mechanics(path, unit="furlong")
     assert read_mechanics(path, unit="cm").parts[0].vertices.max() == 30.0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from command_line import Patch
 from data import make_step
+from oracles.small_scenes import write
 from refusals import refused
 
 import mistray
@@ -47,9 +48,7 @@ def centres(structure: Structure) -> np.ndarray:
 
 
 def saved(tmp_path: Path, text: str, name: str = "part.step") -> Path:
-    path = tmp_path / name
-    path.write_text(text, encoding="ascii")
-    return path
+    return write(tmp_path, text, name)
 
 
 @pytest.fixture(scope="module")
@@ -84,8 +83,7 @@ class TestVaneTube:
         assert all((s.x, s.y, s.z, s.tilt_deg) == (0, 0, 0, (0, 0, 0)) for s in shapes)
         assert {s.part for s in shapes} == {"vane_tube"}
         assert [s.name for s in shapes] == [f"vane_tube_face_{k}" for k in range(16)]
-        assert not tube.unread
-        assert not list(tmp_path.iterdir())
+        assert (list(tube.unread), list(tmp_path.iterdir())) == ([], [])
         (part,) = tube.parts
         assert volume(part) == pytest.approx(profile_volume(profile), rel=3e-3)
         assert (part.title, part.product, part.path) == ("vane tube", "vane tube", "vane tube")
@@ -113,14 +111,12 @@ class TestVaneTube:
         joined = next(band for band in bands(halves.parts[0]) if len(band.faces) == 2)
         split = halves.painted({f"vane_tube_face_{joined.faces[0]}": "flat_black"}).structures(tmp_path)
         meshes = [shape for shape in split if isinstance(shape, MeshStructure)]
-        assert [len(mesh.scatter) for mesh in meshes] == [1, 0]
-        assert len(split) == 15 + 2
+        assert ([len(mesh.scatter) for mesh in meshes], len(split)) == ([1, 0], 15 + 2)
 
     def test_limit(self, tube: Mechanics, tmp_path: Path) -> None:
         few = replace(tube, most_analytic=1).structures(tmp_path)
         assert [type(shape) for shape in few] == [Structure, MeshStructure]
-        assert ends(few[0]) == ((22.0, 0.0), (22.0, 80.0))
-        assert few[1].name == "vane_tube_mesh"
+        assert (ends(few[0]), few[1].name) == (((22.0, 0.0), (22.0, 80.0)), "vane_tube_mesh")
         assert [replace(tube, most_analytic=most).beyond_limit for most in (64, 16, 1, 0)] == [0, 0, 15, 16]
         (whole,) = replace(tube, most_analytic=0).structures(tmp_path)
         assert (whole.name, Path(whole.file)) == ("vane_tube", tmp_path / "vane_tube.ply")
@@ -191,8 +187,7 @@ class TestTrimmedFaces:
 
     @staticmethod
     def faces_of(part: CadPart, keep: np.ndarray) -> list[tuple[int, ...]]:
-        left = replace(part, triangles=part.triangles[keep], faces=part.faces[keep])
-        return [band.faces for band in bands(left)]
+        return [band.faces for band in bands(replace(part, triangles=part.triangles[keep], faces=part.faces[keep]))]
 
     def test_slots_and_holes(self, tube: Mechanics, halves: Mechanics) -> None:
         part = tube.parts[0]
@@ -200,8 +195,7 @@ class TestTrimmedFaces:
         slot = (part.faces == 15) & (np.arctan2(centres[:, 1], centres[:, 0]) > 2.9)
         assert 0 < slot.sum() < 20
         assert sorted(self.faces_of(part, ~slot)) == [(face,) for face in range(15)]
-        one = np.flatnonzero(part.faces == 0)[3]
-        assert (0,) not in self.faces_of(part, np.arange(len(part.faces)) != one)
+        assert (0,) not in self.faces_of(part, np.arange(len(part.faces)) != np.flatnonzero(part.faces == 0)[3])
         part = halves.parts[0]
         first = bands(part)
         band = next(band for band in first if len(band.faces) == 2)
@@ -253,8 +247,7 @@ class TestDamage:
         for share in (0.1, 0.5, 0.999):
             cut_off = saved(tmp_path, text[: int(share * len(text))])
             assert "it is cut off, 'END-ISO-10303-21;' is missing" in self.line(cut_off)
-        empty = text.split("DATA;")[0] + "DATA;\nENDSEC;\nEND-ISO-10303-21;\n"
-        assert "export" in self.line(saved(tmp_path, empty))
+        assert "export" in self.line(saved(tmp_path, text.split("DATA;")[0] + "DATA;\nENDSEC;\nEND-ISO-10303-21;\n"))
         assert "does not begin with 'ISO-10303-21;'" in self.line(saved(tmp_path, "solid\n"))
         assert "files of type '.igs' cannot be read; give .step, .stp" in self.line(tmp_path / "part.igs")
         assert "No such file" in self.line(tmp_path / "other.step")

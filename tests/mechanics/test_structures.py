@@ -10,6 +10,7 @@ import pytest
 import scene_dicts
 import vectors
 from command_line import Captured, Patch, fails, run, succeeds
+from oracles.small_scenes import write
 from refusals import each_refused, refused
 
 import mistray
@@ -29,9 +30,7 @@ def assembly() -> Mechanics:
 
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Path:
-    path = tmp_path / "base.xml"
-    path.write_text(SCENE, encoding="utf-8")
-    return path
+    return write(tmp_path, SCENE, "base.xml")
 
 
 def by_name(shapes: Any) -> dict[str, Any]:
@@ -68,23 +67,19 @@ class TestPaint:
         assert [sides[f"ring_front_face_{k}"] for k in range(4)] == ["front", "back", "back", "front"]
         assert len({shape.scatter[0].name for shape in shapes.values()}) == 2
 
-    def test_finish(self) -> None:
+    def test_finish_and_mistakes(self, assembly: Mechanics) -> None:
         assert finish("black") == Finish()
         assert finish("flat_black") == Finish(scatter=(Scatter("paint", {"preset": "flat_black"}, name="flat_black"),))
         assert finish("R=0.25") == Finish(Coating(R=0.25))
         (model,) = finish("harvey_shack rms_nm=4 l=0.01 s=-1.5").scatter
         assert dict(model.properties) == {"rms_nm": 4.0, "l": 0.01, "s": -1.5}
-        assert finish("0.1") == finish("paint reflectance=0.1")
         assert finish("0") == finish("black")
-        assert finish("paint reflectance=.1") == finish("paint reflectance=0.10")
-        names = {finish(f"paint reflectance={text}").scatter[0].name for text in (".1", "1", "0.01", "1e-5")}
-        assert len(names) == 4
+        assert finish("0.1") == finish("paint reflectance=.1") == finish("paint reflectance=0.10")
+        assert len({finish(f"paint reflectance={text}").scatter[0].name for text in (".1", "1", "0.01", "1e-5")}) == 4
         assert finish("paint reflectance=0.05 side=back").scatter[0].name == "paint_reflectance_0_05_side_back"
         assert finish("black", {"black": Finish(None)}) == Finish(None)
         layered = Finish(Coating(layers="MgF2 100", first="back", name="c")).turned()
         assert layered.coating == Coating(layers="MgF2 100", first="front", name="c_turned")
-
-    def test_mistakes(self, assembly: Mechanics) -> None:
         for rules, words in vectors.toml("refusals.toml")["paint of mechanics"]:
             with refused("", words):
                 assembly.painted(**rules)
@@ -132,8 +127,9 @@ class TestScenes:
 
     def test_alone_and_in_a_prescription(self, assembly: Mechanics, scene_file: Path, tmp_path: Path) -> None:
         names = {shape.name for shape in assembly.to_xml(tmp_path / "mount.xml")}
-        including = SCENE.replace("</scene>", '    <include filename="mount.xml"/>\n</scene>')
-        scene_file.write_text(including, encoding="utf-8")
+        scene_file.write_text(
+            SCENE.replace("</scene>", '    <include filename="mount.xml"/>\n</scene>'), encoding="utf-8"
+        )
         parts = {"surfaces": (), "structures": assembly.structures(tmp_path), "source": mistray.Source(radius=2.0)}
         system = mistray.Prescription(name="mount", detector=mistray.Detector(z=60.0, semi_diameter=5.0), **parts)
         system = system.with_scatter({"bracket": [Scatter("paint", {"reflectance": 0.05})]})
@@ -146,10 +142,8 @@ class TestScenes:
 class TestPlugin:
     @pytest.fixture
     def file(self, tmp_path: Path) -> Path:
-        path = tmp_path / "square.ply"
         corners = np.array([[-2.0, -2, 1], [2, -2, 1], [2, 2, 1], [-2, 2, 1]])
-        path.write_bytes(ply_bytes(corners, np.array([[0, 1, 2], [0, 2, 3]])))
-        return path
+        return write(tmp_path, ply_bytes(corners, np.array([[0, 1, 2], [0, 2, 3]])), "square.ply")
 
     def shape(self, **values: Any) -> dict[str, Any]:
         return {"type": "part_mesh", "id": "S", "bsdf": {"type": "interface", "R": 0.25, "T": 0.75}, **values}
@@ -176,25 +170,23 @@ class TestPlugin:
     def test_damaged_files(self, file: Path) -> None:
         far, nan = (np.array([[0, 0, 0], place, [0, 1, 0]]) for place in ([1e13, 0, 0], [np.nan, 0, 0]))
         beyond = file.read_bytes()[:-4] + (9).to_bytes(4, "little")
-        for content, words in (
-            (ply_bytes(far, np.array([[0, 1, 2]])), "shape 'S': it reaches 1e+13 mm from the origin"),
+        each_refused(
+            (ply_bytes(far, np.array([[0, 1, 2]])), "shape 'S': it reaches 1e\\+13 mm from the origin"),
             (ply_bytes(nan, np.array([[0, 1, 2]])), "mesh contains invalid vertex position data; check the path"),
             (ply_bytes(np.zeros((1, 3)), np.empty((0, 3), dtype=int)), "holds no triangles; export it again"),
             (beyond, "a triangle refers to vertex 9 of 4"),
-        ):
-            file.write_bytes(content)
-            self.check({"filename": str(file)}, words)
+            by=lambda content: self.load(filename=str(write(file.parent, content, file.name))),
+        )
         mirrored = mi.ScalarTransform4f().scale([1, 1, -1])
-        for values, words in (
+        each_refused(
             ({}, "shape 'S': filename is None; name a PLY file"),
             ({"filename": "none.ply"}, "shape 'S': filename 'none.ply': file not found; check the path, or export it"),
             ({"filename": "none.ply", "to_world": mirrored}, "shape 'S': to_world scales, shears or mirrors; use a"),
-        ):
-            self.check(values, words)
+            by=lambda values: self.load(**values),
+        )
 
-    def check(self, values: dict[str, Any], words: str) -> None:
-        with refused("", words):
-            scene_dicts.load(S=self.shape(**values))
+    def load(self, **values: Any) -> None:
+        scene_dicts.load(S=self.shape(**values))
 
 
 class TestCommand:
@@ -208,12 +200,10 @@ class TestCommand:
         assert "could be exact" not in out
         assert f"{output}: 3 parts; next: mistray ghosts {output}" in out
         loaded = {shape.id(): shape for shape in mistray.load(output).shapes()}
-        assert loaded["ring_front_face_0"].values["z0"] == 7.7
-        assert loaded["ring_front_face_0"].space == 2
+        assert (loaded["ring_front_face_0"].values["z0"], loaded["ring_front_face_0"].space) == (7.7, 2)
         assert float(loaded["bracket"].bbox().max.z) == pytest.approx(71.2, abs=1e-4)
         text = output.read_text(encoding="utf-8")
-        assert text.count('<ref id="mirror"/>') == 4
-        assert text.count('<ref id="barrel_paint"/>') == 1
+        assert (text.count('<ref id="mirror"/>'), text.count('<ref id="barrel_paint"/>')) == (4, 1)
         error = fails(capsys, "import", ASSEMBLY, "-o", tmp_path / "again.xml", "--into", output)
         assert "it has an object 'ring_front_face_0' already" in error
         assert not list(tmp_path.glob("again*"))

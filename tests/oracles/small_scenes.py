@@ -54,7 +54,9 @@ def plates_text(number: int, index: str = "1.5", **coating: Any) -> str:
     return scene_text(*shapes)
 
 
-def write(folder: Path, text: str) -> Path:
-    path = folder / "scene.xml"
-    path.write_text(text, encoding="utf-8")
+def write(folder: Path, content: str | bytes, name: str = "scene.xml") -> Path:
+    """A file of a folder, which is made where there is none."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
     return path

@@ -48,16 +48,12 @@ def scene(**scatter: Any) -> Any:
     )
 
 
-def test_its_values_are_parameters() -> None:
-    known = parameters(scene(share=0.3, depth=2.0))
-    found = {key: p for key, p in known.items() if p.kind == "scatter"}
+def test_its_values_are_parameters_and_its_errors_one_line() -> None:
+    found = {key: p for key, p in parameters(scene(share=0.3, depth=2.0)).items() if p.kind == "scatter"}
     assert set(found) == {"panel.bsdf.haze.share", "panel.bsdf.haze.depth"}
     depth, share = found["panel.bsdf.haze.depth"], found["panel.bsdf.haze.share"]
     assert (depth.unit, depth.value[0], depth.shapes) == ("1", 2.0, ("panel",))
     assert (depth.low, depth.high, share.low, share.high) == (-np.inf, np.inf, 0.0, 1.0)
     assert (depth.tolerance, share.tolerance) == pytest.approx((0.4, 0.03))
-
-
-def test_its_errors_are_one_line() -> None:
     with refused(r"share is 1\.5"):
         scene(share=1.5, depth=2.0)

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import scene_dicts
 from command_line import Captured, fails, succeeds
-from oracles.small_scenes import plates_text
+from oracles.small_scenes import plates_text, write
+from refusals import refused
 
 import mistray
-from mistray import MistrayError
 from mistray.recorders import FarField, Probe
 from mistray.scene.other_sensors import sensor_dict
 from mistray.surfaces.surfaces import SurfaceTable
@@ -50,29 +50,26 @@ def test_render_is_the_irradiance_of_a_trace(scene: mi.Scene) -> None:
     assert np.any(first != second)
 
 
-def test_vertices_have_no_derivative(scene: mi.Scene) -> None:
+def test_vertices_and_flat_rings_have_no_derivative(scene: mi.Scene) -> None:
     params, key = mi.traverse(scene), "lens_front.vertex_positions"
     dr.enable_grad(params[key])
     params.update()
     try:
-        with pytest.raises(MistrayError, match=r"no derivative with respect to 'lens_front\.vertex_positions'"):
+        with refused(r"no derivative with respect to 'lens_front\.vertex_positions'"):
             dr.backward(dr.sum(mi.render(scene, params).array))
     finally:
         dr.disable_grad(params[key])
-
-
-def test_the_place_of_a_flat_ring_along_its_cylinder_has_no_derivative() -> None:
-    ring = {"type": "frustum", "r0": 2.0, "r1": 8.0, "z0": -5.0, "z1": -5.0, "bsdf": scene_dicts.BLACK}
+    # Nor has the place of a flat ring along its cylinder
     here = scene_dicts.load(
         integrator={"type": "straylight", "rays": 16},
         beam={"type": "collimated", "radius": 4.0},
-        ring=ring,
+        ring={"type": "frustum", "r0": 2.0, "r1": 8.0, "z0": -5.0, "z1": -5.0, "bsdf": scene_dicts.BLACK},
         detector=scene_dicts.detector(10, semi_diameter=3.0),
     )
     params = mi.traverse(here)
     dr.enable_grad(params["ring.z0"])
     params.update()
-    with pytest.raises(MistrayError, match=r"no derivative with respect to 'ring\.z0'"):
+    with refused(r"no derivative with respect to 'ring\.z0'"):
         dr.backward(dr.sum(mi.render(here, params).array))
 
 
@@ -146,13 +143,12 @@ def test_stock_integrators_see_through_it() -> None:
     """A lamp behind a target is as bright as without it; samples go straight on with weight 1, and the flags say so."""
     bsdf, si, context = target(), mi.SurfaceInteraction3f(), mi.BSDFContext()
     eye = T().look_at(origin=[0, 0, 10], target=[0, 0, 0], up=[0, 1, 0])
-    veil = {"type": "disk", "to_world": T().translate([0, 0, 5]).scale(4), "bsdf": {"type": "target", "surfaces": "*"}}
     view: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path"},
         "lamp": {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 3.0}}},
         "camera": {"type": "perspective", "fov": 10, "to_world": eye, "film": scene_dicts.film(4)},
-        "veil": veil,
+        "veil": {"type": "disk", "to_world": T().translate([0, 0, 5]).scale(4), "bsdf": target()},
     }
     assert np.array(mi.render(mi.load_dict(view), spp=4)) == pytest.approx(3.0, rel=1e-6)
     assert mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
@@ -185,9 +181,7 @@ def text_of(*sensors: str) -> str:
 
 @pytest.fixture(scope="module")
 def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("sensors") / "plate.xml"
-    path.write_text(text_of(PROBE, SKY.format("90:180:45")), encoding="utf-8")
-    return path
+    return write(tmp_path_factory.mktemp("sensors"), text_of(PROBE, SKY.format("90:180:45")))
 
 
 @pytest.mark.quick
@@ -226,8 +220,8 @@ def test_light_of_surfaces_and_a_probe_under_stock_integrators() -> None:
     found = mistray.trace(scene, rays=40_000, max_scatters=0).recorders
     (row,) = found["split"].rows
     assert row.incident[0] == pytest.approx(24.0, rel=1e-3)
-    assert row.absorbed[0] == pytest.approx(0.75 * row.incident[0], rel=1e-6)
-    assert row.scattered_reflection[0] == pytest.approx(0.25 * row.incident[0], rel=1e-6)
+    shares = np.array([row.absorbed[0], row.scattered_reflection[0]]) / row.incident[0]
+    assert shares == pytest.approx([0.75, 0.25], rel=1e-6)
     value, se = found["maps"].maps["wall"].irradiance
     assert value.shape == (4, 6)
     assert np.all(np.abs(value - 1) < 6 * se)  # of 24 cells, from 32 batches: a false alarm in 3e-5 of runs
@@ -267,8 +261,7 @@ def test_texts_beside_a_file(plate: Path) -> None:
     found = mistray.trace(scene, rays=20_000, max_reflections=1).recorders
     r, back = 0.04, found["back"]
     assert back.power[0] == pytest.approx(0.4 * 0.2 * (r + r * (1 - r) ** 2), abs=5 * back.power[1])
-    assert back.irradiance[0].shape == (4, 8)
-    assert back.extent == (-0.2, 0.2, -0.1, 0.1)
+    assert (back.irradiance[0].shape, back.extent) == ((4, 8), (-0.2, 0.2, -0.1, 0.1))
     assert found["far_field"].power[0] > 0
 
 
@@ -303,11 +296,9 @@ def test_the_frame_of_a_probe() -> None:
     ],
 )
 def test_bad_ones(plate: Path, tmp_path: Path, given: Any, words: str) -> None:
-    (tmp_path / "bad.xml").write_text(text_of(*given) if isinstance(given, tuple) else "", encoding="utf-8")
-    where = (tmp_path / "bad.xml",) if isinstance(given, tuple) else (plate, None, given)
-    with pytest.raises(mistray.MistrayError, match=words) as error:
+    where = (write(tmp_path, text_of(*given)),) if isinstance(given, tuple) else (plate, None, given)
+    with refused(words):
         mistray.load(*where)
-    assert "\n" not in str(error.value)
 
 
 SCENE = ["--field-deg", "0", "5", "--rays", "4000", "--quiet"]
@@ -315,8 +306,7 @@ BOTH = ["--probe", "0,0,-1,half_width=0.5,half_height=0.25,directions=4,id=ahead
 
 
 def test_json_of_the_command(tmp_path: Path, capsys: Captured) -> None:
-    path = tmp_path / "bare.xml"
-    path.write_text(text_of(), encoding="utf-8")
+    path = write(tmp_path, text_of())
     found = json.loads(succeeds(capsys, "ghosts", path, *SCENE, *BOTH, "--json"))["sections"]["probes"]
     first, second = found["probes"]
     assert (first["field_deg"], second["field_deg"]) == (0, 5)
@@ -324,6 +314,5 @@ def test_json_of_the_command(tmp_path: Path, capsys: Captured) -> None:
     assert first["mean_irradiance_W_mm2"] == pytest.approx(2 * first["power_W"])
     assert first["highest_radiance_W_mm2_sr"] > 0
     assert [(row["from_deg"], row["to_deg"]) for row in found["far_fields"]] == 2 * [(90, 135), (135, 180)]
-    without = json.loads(succeeds(capsys, "ghosts", path, *SCENE, "--json"))
-    assert "probes" not in without.get("sections", {})
+    assert "probes" not in json.loads(succeeds(capsys, "ghosts", path, *SCENE, "--json")).get("sections", {})
     assert "two sensors have this id" in fails(capsys, "ghosts", path, *SCENE, "--probe", "0,0,1,id=a", "0,0,2,id=a")

@@ -11,6 +11,7 @@ import pytest
 import scatter_surfaces
 import scene_dicts
 from oracles.chi_square import Chart, p_value
+from oracles.small_scenes import write
 from oracles.statistics import assert_z
 from refusals import each_refused
 from scatter_surfaces import EVENTS, IMPORTANCE, MODELS, RADIANCE, context, direction, interaction, surface, vectors
@@ -28,10 +29,11 @@ CASES = [(0.0, True), (30.0, True), (80.0, True), (30.0, False)]
 # nodes h = ln 2/64 apart, with an error of h²/8 |d² ln f/d(ln r)²|. That is 8e-4 of a Gaussian where it has fallen to
 # 1e-6 of its peak, below which `floor` counts; ln cosⁿ is curved up to twice as much
 ACCURACY = {
-    "gaussian_lobe": 1e-3, "phong": 2e-3,
-    "paint": 2e-2, "particulate": 1e-3, "k_correlation": 2e-3, "psd_table": 2e-3, "polynomial": 5e-3, "tabulated": 1e-3,
-    "ghs_full": 2e-2, "rayleigh_rice_vector": 2e-2,
-}  # fmt: skip
+    **dict.fromkeys(("gaussian_lobe", "particulate", "tabulated"), 1e-3),
+    **dict.fromkeys(("phong", "k_correlation", "psd_table"), 2e-3),
+    **dict.fromkeys(("paint", "ghs_full", "rayleigh_rice_vector"), 2e-2),
+    "polynomial": 5e-3,
+}
 # Directions that may deviate by more: Mie's ripple far behind, and the rim of what refraction can reach, are finer than
 # the table
 EXCEPTIONS = {"particulate": 0.05}
@@ -112,8 +114,7 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     """∂(BSDF cos θ) against central differences of the float64 model."""
     model = (MODELS | THEORIES)[name]
     bsdf = surface(model)
-    parameters = mi.traverse(bsdf)
-    parameter = parameters[f"{model['type']}.{key}"]
+    parameter = mi.traverse(bsdf)[f"{model['type']}.{key}"]
     at = float(parameter[0])
     wi = direction(50.0 if name == "rough" else 30.0, True)
     wo = np.concatenate([hemisphere(30, -1.0, 8), hemisphere(30, 1.0, 9)])
@@ -173,10 +174,7 @@ SAMPLES = 200_000
 FALSE_ALARM = 1e-3 / 70
 BY_ANGLE = ("particulate", "phong")  # lobes about a direction, not about its direction cosines
 OCTAVES = {"abg_narrow": 19}  # of r below 2 that are tested, else 14
-TYPES = [
-    getattr(mi.BSDFFlags, kind).value
-    for kind in ("DeltaReflection", "DeltaTransmission", "GlossyReflection", "GlossyTransmission")
-]  # of components
+KINDS = ("DeltaReflection", "DeltaTransmission", "GlossyReflection", "GlossyTransmission")  # of components
 DRAWN = [
     (name, event, angle, True, IMPORTANCE)
     for name, model in MODELS.items()
@@ -245,8 +243,7 @@ def test_chi_square_of_a_table_and_of_several_models(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "key", "factor"), toml("tables.toml")["wrong densities"])
 def test_a_wrong_density_fails(name: str, key: str, factor: float) -> None:
     model = MODELS[name]
-    given = {"particulate": 0.926}.get(name, model.get(key))
-    wrong = surface({**model, key: given * factor})
+    wrong = surface({**model, key: {"particulate": 0.926}.get(name, model.get(key)) * factor})
     event = "transmission" if model.get("event") == "transmission" else "reflection"
     p = scatter_p(name, surface(model), wrong, event, 45.0, True, IMPORTANCE)
     assert p < 1e-9, f"a wrong {key} went unnoticed: p = {p:.2g}"
@@ -267,7 +264,8 @@ def assert_agree(bsdf: Any, wi: np.ndarray, mode: Any, count: int = 20_000) -> N
     np.testing.assert_allclose(np.linalg.norm(wo, axis=0)[weight > 0], 1, atol=1e-6)
     side = np.where(kind % 2 == 0, np.sign(wi[2]), -np.sign(wi[2]))
     assert np.all((np.sign(wo[2]) == side)[weight > 0])
-    assert np.array_equal(np.array(sample.sampled_type), np.array(TYPES)[kind])
+    types = [getattr(mi.BSDFFlags, name).value for name in KINDS]
+    assert np.array_equal(np.array(sample.sampled_type), np.array(types)[kind])
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -358,17 +356,12 @@ class TestScene:
         assert [round(model.A, 6) for model in second.scatter[1:]] == [0.0025, 0.002]
         assert (first.scatter[0].rms_nm, second.scatter[0].rms_nm) == (2.0, 2.0)
 
-    def test_particles_of_a_material(self, tmp_path: Path) -> None:
-        (tmp_path / "dust.csv").write_text("wavelength_nm,n,k\n400,1.6,0.01\n800,1.6,0.01\n", encoding="utf-8")
-        (tmp_path / "scene.xml").write_text(
-            '<bsdf version="3.0.0" type="particulate"><float name="level" value="300"/>'
-            '<string name="particle" value="dust.csv"/></bsdf>',
-            encoding="utf-8",
-        )
-        assert mi.load_file(str(tmp_path / "scene.xml")).model.particle == str(tmp_path / "dust.csv")
-
-    def test_digits_of_the_scene_are_kept(self) -> None:
-        """In single precision the level would lie below the greatest diameter."""
+    def test_particles_of_a_material_and_digits_of_the_scene(self, tmp_path: Path) -> None:
+        dust = write(tmp_path, "wavelength_nm,n,k\n400,1.6,0.01\n800,1.6,0.01\n", "dust.csv")
+        values = '<float name="level" value="300"/><string name="particle" value="dust.csv"/>'
+        scene = write(tmp_path, f'<bsdf version="3.0.0" type="particulate">{values}</bsdf>')
+        assert mi.load_file(str(scene)).model.particle == str(dust)
+        # In single precision the level would lie below the greatest diameter
         bsdf = mi.load_dict({"type": "particulate", "level": 400.3, "max_um": 400.3})
         assert bsdf.model.level == 400.3
         assert [model.level >= 400.3 for _, model in quotient(bsdf, "level")] == [True] * 3
@@ -431,5 +424,4 @@ class TestScene:
                     for z, out in wo.items():
                         value = float(bsdf.eval(context(IMPORTANCE), interaction(light, 1), out)[0][0])
                         reflected = (z < 0) == from_front
-                        expected = from_front == (side == "front") and reflected == (event == "reflection")
-                        assert (value > 0) == expected
+                        assert (value > 0) == (from_front == (side == "front") and reflected == (event == "reflection"))

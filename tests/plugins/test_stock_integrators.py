@@ -24,9 +24,6 @@ GREY = {"pixel_format": "luminance"}
 FILM = scene_dicts.film(8, **GREY)
 PATH = {"type": "path", "max_depth": 100, "rr_depth": 1000}
 SKY = {"type": "constant", "radiance": 1.0}
-WHITE = {"type": "diffuse", "reflectance": 0.6}
-SCREEN = {"type": "rectangle", "to_world": T().rotate([1, 0, 0], 180).scale(9.0), "bsdf": WHITE}
-SMALL = {"R": 0.9, "s": {"type": "abg", "A": 0.01, "B": 0.05, "g": 2.0}}
 
 
 def glass(front: str, back: str, **coating: Any) -> dict[str, Any]:
@@ -125,11 +122,11 @@ def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None
 
 
 def lit_plate(integrator: dict[str, Any], film: Any) -> mi.Scene:
-    lamp = {"type": "area", "radiance": 10.0}
+    lamp, abg = {"type": "area", "radiance": 10.0}, {"type": "abg", "A": 0.01, "B": 0.05, "g": 2.0}
     return mitsuba_scene(
         integrator=integrator,
         lamp={"type": "rectangle", "to_world": T().look_at([4, 0, -4], [0, 0, 0], [0, 1, 0]), "light": lamp},
-        plate={"type": "rectangle", "to_world": T().rotate([1, 0, 0], 180), "bsdf": glass("air", "air", **SMALL)},
+        plate={"type": "rectangle", "to_world": T().rotate([1, 0, 0], 180), "bsdf": glass("air", "air", R=0.9, s=abg)},
         camera=camera([0, 0, -5], [0, 0, 0], 20.0, film),
     )
 
@@ -219,9 +216,10 @@ class TestCollimated:
     def test_a_white_screen(self, kind: str, field_deg: float) -> None:
         """Radiance ρ E cos θ / π where the beam lands, and nothing beside it."""
         eye = T().look_at([0, 0, -9], [0, 0, 0], [0, 1, 0]).scale([6, 6, 1])
+        white = {"type": "diffuse", "reflectance": 0.6}
         scene = mitsuba_scene(
             beam={"type": "collimated", "radius": 2.0, "field_deg": field_deg, "irradiance": 3.0},
-            screen=SCREEN,
+            screen={"type": "rectangle", "to_world": T().rotate([1, 0, 0], 180).scale(9.0), "bsdf": white},
             camera={"type": "orthographic", "to_world": eye, "film": scene_dicts.film(64, **GREY)},
         )
         image = np.array(mi.render(scene, integrator=mi.load_dict({"type": kind}), spp=64)).squeeze()
@@ -298,9 +296,7 @@ PLANE = {"type": "asphere", "semi_diameter": 2.0, "bsdf": BLACK}
 @pytest.mark.quick
 def test_defaults() -> None:
     plane = mi.load_dict(PLANE)
-    assert plane.plane
-    assert not plane.sag(np.linspace(0, 2, 5)).any()
-    assert plane.space == -1
+    assert (plane.plane, plane.sag(np.linspace(0, 2, 5)).any(), plane.space) == (True, False, -1)
     flat, bent = ({}, {"radius": 0.0}, {"radius": -np.inf}), ({"curvature": 0.05}, {"radius": 20})
     assert [mi.load_dict(PLANE | given).values["curvature"] for given in (*flat, *bent)] == [0, 0, 0, 0.05, 0.05]
     named = mi.load_dict(ASPHERE | {"id": "S1", "part": "L1", "space": 3})
@@ -354,15 +350,10 @@ class TestParameters:
 # What stock integrators and viewers see, and the exact surface
 MESHES = {
     "asphere": (ASPHERE, Asphere(0.05, -0.5, ((2, 1e-4), (3, -2e-7)), 6.0)),
-    "steep": (
-        PLANE | {"radius": 3.482, "conic": 8.701, "semi_diameter": STEEP_REAR.outer}
-        | {f"a{2 * power}": value for power, value in STEEP_REAR.coefficients},
-        STEEP_REAR,
-    ),
-    "clipped": (
-        {"type": "asphere", "radius": -12.0, "half_width": 4.0, "half_height": 2.0, "bsdf": BLACK},
-        Asphere(-1 / 12, half_width=4.0, half_height=2.0),
-    ),
+    "steep": (PLANE | {"radius": 3.482, "conic": 8.701, "semi_diameter": STEEP_REAR.outer}
+              | {f"a{2 * power}": value for power, value in STEEP_REAR.coefficients}, STEEP_REAR),
+    "clipped": ({"type": "asphere", "radius": -12.0, "half_width": 4.0, "half_height": 2.0, "bsdf": BLACK},
+                Asphere(-1 / 12, half_width=4.0, half_height=2.0)),
     "ring": (PLANE | {"radius": 12.0, "inner_semi_diameter": 1.0}, Asphere(1 / 12, outer=2.0, inner=1.0)),
     "plane": (PLANE, Asphere(0.0, outer=2.0)),
     "cone": (FRUSTUM, Frustum(5.0, -1.0, 3.0, 4.0)),
@@ -484,10 +475,9 @@ def test_it_traces_like_one_that_to_world_placed(name: str) -> None:
 
 def test_a_second_of_arc_of_a_turned_surface_is_not_lost() -> None:
     turned = mi.ScalarTransform4d().rotate([1, 0, 0], 45)
-    place = turned.translate([0, 0, 5])
     there = scene_dicts.load(
         a={"type": "asphere", "semi_diameter": 2.0, "bsdf": FLINT, "to_world": turned},
-        b=scene_dicts.detector(0, semi_diameter=2.0, to_world=place, tilt_x=1 / 3600),
+        b=scene_dicts.detector(0, semi_diameter=2.0, to_world=turned.translate([0, 0, 5]), tilt_x=1 / 3600),
     )
     table = SurfaceTable(there, 550.0)
     assert len(table.frames) == 3  # with that of the world

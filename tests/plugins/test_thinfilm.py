@@ -9,6 +9,8 @@ import pytest
 import scene_dicts
 import tmm
 import vectors
+from oracles.small_scenes import write
+from refusals import refused
 
 import mistray
 from mistray.coatings import Ideal, preset, write_table
@@ -28,8 +30,7 @@ class TestParameters:
             assert own.material == wanted.material
             assert own.thickness_nm == pytest.approx(wanted.thickness_nm, rel=1e-7)  # parameters are float32
         mirror = load(preset="protected_al")
-        assert mirror.opaque
-        assert mirror.coating.opaque
+        assert (mirror.opaque, mirror.coating.opaque) == (True, True)
         ideal = load(R=0.1, T=0.8)
         assert isinstance(ideal.coating, Ideal)
         np.testing.assert_allclose([ideal.coating.R, ideal.coating.T], [0.1, 0.8], rtol=1e-7)
@@ -38,8 +39,7 @@ class TestParameters:
         np.testing.assert_allclose(bsdf.coating.indices(550.0), [1.39, 2.08 + 0.001j], rtol=1e-7)
 
     def test_files_and_those_beside_the_scene(self, tmp_path: Path) -> None:
-        (tmp_path / "ar.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n")
-        assert load(table=str(tmp_path / "ar.csv")).film is None
+        assert load(table=str(write(tmp_path, "wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n", "ar.csv"))).film is None
         zemax, mirror = load(table=f"{SAMPLE}:AR2"), load(table=f"{SAMPLE}:ALUM", opaque=True)
         np.testing.assert_allclose(np.array(zemax.thickness_nm), [99.8185, 0.5 * 550 / 2.05, 10.0], rtol=1e-6)
         assert (zemax.opaque, mirror.opaque) == (False, True)
@@ -51,9 +51,8 @@ class TestParameters:
             f'<shape type="asphere"><float name="semi_diameter" value="1"/>{film.format(recipe)}</shape>'
             for recipe in ('<string name="layers" value="glass.csv 0.25w"/>', '<string name="table" value="c.dat:AR"/>')
         )
-        (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{shapes}</scene>')
-        scene = mi.load_file(str(tmp_path / "scene.xml"), optimize=False, parallel=False)
-        one, other = (shape.bsdf() for shape in scene.shapes())
+        file = write(tmp_path, f'<scene version="3.0.0">{shapes}</scene>')
+        one, other = (shape.bsdf() for shape in mi.load_file(str(file), optimize=False, parallel=False).shapes())
         assert one.complex_indices(550.0) == (1 + 0j, 1.5 + 0j)
         assert one.coating.layers[0].thickness_nm == pytest.approx(0.25 * 550 / 1.5)
         assert other.coating.layers[0].index(550.0) == 1.38
@@ -136,9 +135,8 @@ class TestTraverse:
         coatings = [bsdf_of(scene, name).coating for name in ("front", "split")]
         for key, values in changes.items():
             params[key] = mi.Float(values)
-        with pytest.raises(mistray.MistrayError, match=words) as caught:
+        with refused(words):
             params.update()
-        assert "\n" not in str(caught.value)
         for key, values in before.items():
             np.testing.assert_array_equal(np.array(params[key]), values, err_msg=key)
         assert [bsdf_of(scene, name).coating for name in ("front", "split")] == coatings

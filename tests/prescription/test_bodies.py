@@ -10,9 +10,9 @@ from refusals import each_refused
 from sequential_lenses import by_name, lens, newtonian, triplet
 
 import mistray
-from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface, Trace
+from mistray import Coating, Detector, Prescription, Source, Structure, Surface, Trace
 from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, polygon, rectangle
-from mistray.prescription import Unread, array, beam_splitter_cube, box, moved_as_one, plate, prism
+from mistray.prescription import Scatter, Unread, array, beam_splitter_cube, box, moved_as_one, plate, prism
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.edge_rays import edge_rays
@@ -45,8 +45,7 @@ class TestPrism:
         h = side * math.sqrt(3) / 2
         corners = [(-h / 3, -side / 2), (2 * h / 3, 0.0), (-h / 3, side / 2)][::way_round]
         body = moved_as_one(prism("p", corners, 20.0, material="1.5"), tilt_deg=(math.degrees(deviation) / 2, 0, 0))
-        edges = np.degrees(deviation) + np.array([-0.001, 0.001])
-        far = FarField("far", edges_deg=edges)
+        far = FarField("far", edges_deg=np.degrees(deviation) + np.array([-0.001, 0.001]))
         aside = FarField("aside", edges_deg=(0, 0.01), axis=(0, -math.sin(deviation), math.cos(deviation)))
         t = traced(*body, recorders=[far, aside], max_reflections=0)
         cos_i = math.cos((deviation + math.radians(60)) / 2)
@@ -64,9 +63,8 @@ class TestPrism:
         far = a * (1 + math.tan(math.radians(22.5)))
         corners = [(0.0, 0.0), (a, 0.0), (far, a), (a, far), (0.0, a)]
         faces = ("entrance", "mirror_1", "roof", "mirror_2", "exit")
-        silver = Coating(R=1.0, T=0.0)
-        body = prism("penta", corners, a, material="1.5", faces=faces, mirrors=("mirror_1", "mirror_2"),
-                     coatings={"mirror_1": silver, "mirror_2": silver})  # fmt: skip
+        coated = {"mirrors": ("mirror_1", "mirror_2"), "coatings": dict.fromkeys(faces[1::2], Coating(R=1.0, T=0.0))}
+        body = prism("penta", corners, a, material="1.5", faces=faces, **coated)
         body = moved_as_one(moved_as_one(body, y=-a / 2, z=-a / 2), tilt_deg=(tilt, 0, 0))
         down = FarField("down", **DOWN)
         t = traced(*body, recorders=[down], max_reflections=0)
@@ -78,8 +76,7 @@ class TestPrism:
         body = prism("porro", [(-5, -5), (5, -5), (-5, 5)], 10.0, material="1.6", faces=("in", "hypotenuse", "out"))
         down = FarField("down", **DOWN)
         t = traced(*body, recorders=[down], max_reflections=0)
-        r = (0.6 / 2.6) ** 2
-        assert down.power[0] == pytest.approx(np.pi * (1 - r) ** 2, rel=1e-5)
+        assert down.power[0] == pytest.approx(np.pi * (1 - (0.6 / 2.6) ** 2) ** 2, rel=1e-5)
         assert t.energy.absorbed["porro_left"][0] == 0
         # Light that got into a concave body finds no gap between its faces on the way through 60 reflections
         corners = [(-10, -10), (10, -10), (10, 10), (3, 2), (-10, 10)]
@@ -107,8 +104,7 @@ class TestCubeAndBox:
         """R of the diagonal goes to +y and T on, through two bare faces; also turned and displaced with its beam."""
         cube = beam_splitter_cube("cube", 20.0, material="1.5", splitter=Coating(R=0.3, T=0.6))
         up = Detector("up", y=100.0, tilt_deg=(90.0, 0.0, 0.0), half_width=5.0, half_height=5.0)
-        on = Detector("on", z=100.0, half_width=5.0, half_height=5.0)
-        t = traced(*cube, detectors=(up, on), max_reflections=1)
+        t = traced(*cube, detectors=(up, Detector("on", z=100.0, half_width=5.0, half_height=5.0)), max_reflections=1)
         paths = {(row.detector, row.path): row.power_W for row in t.paths}
         assert paths["on", "TTTA"] == pytest.approx(np.pi * 0.6 * 0.96**2, rel=1e-5)
         assert paths["up", "TRTA"] == pytest.approx(np.pi * 0.3 * 0.96**2, rel=1e-5)
@@ -130,8 +126,7 @@ class TestCubeAndBox:
         assert absorbed["dark_top"][0] == 0  # turned towards +z, and its bottom towards the light
         taken, se = absorbed["dark_bottom"]
         assert abs(taken - 3.0) < 4 * se
-        with pytest.raises(mistray.MistrayError, match="size is 0; it must lie between 1e-15"):
-            box("b", (1.0, 0.0, 1.0))
+        each_refused(("b", (1.0, 0.0, 1.0), "size is 0; it must lie between 1e-15"), by=box)
 
 
 def behind(outline: Outline, half: float, x: float, y: float, field_deg: float, rays: int = 60_000) -> Trace:
@@ -153,8 +148,7 @@ class TestPlate:
         ))  # fmt: skip
         assert len(plate("plate", outline, 2.0)) == 2 + 4 + 1 + 4 + 3
         t = behind(outline, 13.0, 0.0, 0.0, 0.0, rays=200_000)
-        holes = np.pi * 9 + 16 + 6
-        assert abs(t.energy.detected_W - holes) < 4 * t.energy.detected_se_W  # 1 in 16,000
+        assert abs(t.energy.detected_W - (np.pi * 9 + 16 + 6)) < 4 * t.energy.detected_se_W  # 1 in 16,000
         assert t.energy.absorbed["plate_rear"][0] == 0
         # At 20° along y the wall takes 2 tan 20° from the width of each hole: of the circle what two discs share
         tilted = behind(outline, 12.0, 0.0, 0.0, 20.0, rays=200_000)
@@ -212,10 +206,8 @@ class TestPlacing:
         )
         places = [(2.0 * i, 2.0 * j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
         faces = array(lenslet[:2], places)
-        assert len(faces) == 18
-        assert faces[2].name == "lenslet_front_2"
-        back = 10.0 - 1 / 1.5
-        screen = Detector("screen", z=1.0 + back, half_width=3.0, half_height=3.0, pixels=(9, 9))
+        assert (len(faces), faces[2].name) == (18, "lenslet_front_2")
+        screen = Detector("screen", z=1.0 + (10.0 - 1 / 1.5), half_width=3.0, half_height=3.0, pixels=(9, 9))
         beam = Source(half_width=2.9, half_height=2.9, z=-5.0)
         t = traced(*faces, detectors=(screen,), source=beam, rays=90_000, max_reflections=0)
         spots = t.irradiance[1::3, 1::3]
@@ -337,8 +329,7 @@ def test_rims_rays_coatings_and_edges_of_lenses():
         Row(2, radius=-44.0, thickness=2.5, material="1.6727"),
         Row(3, radius=-130.0, thickness=95.0),
     )
-    doublet = lens(*rows, Row(4, kind="image"), aperture=20.0, fields=((0.0, 0.0), (0.0, 3.0)))
-    prescription = to_prescription(doublet)
+    prescription = to_prescription(lens(*rows, Row(4, kind="image"), aperture=20.0, fields=((0.0, 0.0), (0.0, 3.0))))
     shapes = by_name(prescription)
     edges = [shapes["L1_edge"], shapes["L2_edge"]]
     assert len({edge.r0 for edge in edges} | {edge.r1 for edge in edges}) == 1
@@ -352,14 +343,13 @@ def test_rims_rays_coatings_and_edges_of_lenses():
         shapes = [*to_prescription(given).surfaces, to_prescription(given).detector]
         starts = np.array([[x, y, -10.0] for x, y in ((0, 0), (1, 2), (-3, 1), (0, -4))], dtype=float)
         hits, _ = trace(given, starts, np.tile([0.0, 0.0, 1.0], (4, 1)))
-        places = to_world(given, hits)
-        rows = [k for k, row in enumerate(given.rows) if row.mirror or row.material != "air" or row.kind == "image"]
-        for k in rows:
-            row = given.rows[k]
+        for row, places in zip(given.rows, to_world(given, hits), strict=True):
+            if not row.mirror and row.material == "air" and row.kind != "image":
+                continue
             name = "detector" if row.kind == "image" else row.label or f"S{row.number}"
             (shape,) = (shape for shape in shapes if shape.name == name)
             own = np.linalg.inv(shape.to_world())
-            local = places[k] @ own[:3, :3].T + own[:3, 3]
+            local = places @ own[:3, :3].T + own[:3, 3]
             flat = replace(shape, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0))
             assert local[:, 2] == pytest.approx(flat.z_at(np.hypot(local[:, 0], local[:, 1])), abs=1e-9)
     given = changed(3, changed(2, changed(1, coating="AR"), coating="lib/COATING.DAT:HEAR1"), coating="unknown")
@@ -371,12 +361,11 @@ def test_rims_rays_coatings_and_edges_of_lenses():
     assert "coating 'unknown' of surface 3 is not given (coatings=): it is bare" in built.notes
     assert by_name(beside(built.prescription, "out"))["S2"].coating.table == "../lib/COATING.DAT:HEAR1"
     built = build(changed(1, material="nd=1.62 Vd=60"))
-    assert by_name(built.prescription)["S1"].back == "nd=1.62 Vd=60 k=0"
+    assert built.prescription.surfaces[0].back == "nd=1.62 Vd=60 k=0"
     assert "material 'nd=1.62 Vd=60': its absorption is unknown and taken for 0" in built.notes
     ground = by_name(to_prescription(triplet(), edges="ground", ground_reflectance=0.3))
-    (model,) = ground["L2_edge"].scatter
-    assert (model.kind, dict(model.properties), model.name) == ("paint", {"reflectance": 0.3}, "ground_edge")
-    assert ground["barrel_1_wall"].scatter == ()
+    paint = Scatter("paint", {"reflectance": 0.3}, name="ground_edge")
+    assert (ground["L2_edge"].scatter, ground["barrel_1_wall"].scatter) == ((paint,), ())
     open_ = by_name(to_prescription(triplet(), edges="open"))
     assert open_["L2_edge"].coating is None
     assert not any(name.startswith(("barrel", "board")) for name in open_)
@@ -386,35 +375,31 @@ def test_rims_rays_coatings_and_edges_of_lenses():
         around = to_prescription(replace(given, rows=tuple(rows), object_material="1.005")).structures
         pieces = [piece for piece in around if piece.name.endswith(("_edge", "_wall", "_rim"))]
         assert {piece.back for piece in pieces} == {"1.005"}
-        assert len(pieces) > 0
 
 
 def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
     pickups = Unread(0, "pickups", "values are taken as they are")
     lines = ((12, "  XDAT 1 2", "not read"), (40, "TOL -- 3", "a tolerance"), (3, "\x01\x02 bad", "?"))
-    unread = tuple(Unread(*line) for line in lines)
-    given = replace(triplet(object_distance=500.0), name="a\x00b", source="Zemax file a.zmx", unread=(*unread, pickups))
+    unread = (*(Unread(*line) for line in lines), pickups)
+    given = replace(triplet(object_distance=500.0), name="a\x00b", source="Zemax file a.zmx", unread=unread)
     prescription = to_prescription(given)
     lines = prescription.provenance.splitlines()
-    assert lines[0] == "From Zemax file a.zmx."
-    assert "Without effect, line 12: XDAT 1 2 (not read)" in lines
-    assert "Without effect: pickups (values are taken as they are)" in lines
+    told = {"Without effect, line 12: XDAT 1 2 (not read)", "Without effect: pickups (values are taken as they are)"}
+    assert (lines[0], told - set(lines)) == ("From Zemax file a.zmx.", set())
     # Its pupil lies in the stop, which the source's frame has its origin in
     source = prescription.source
     assert source.distance - source.z == pytest.approx(500.0)
     assert "Note: the object is virtual" in to_prescription(triplet(object_distance=-500.0)).provenance
     prescription.to_xml(tmp_path / "a.xml")
     text = (tmp_path / "a.xml").read_text(encoding="utf-8")
-    assert "line 40: TOL - - 3 (a tolerance)" in text
-    assert "\\x01\\x02 bad" in text
+    assert all(words in text for words in ("line 40: TOL - - 3 (a tolerance)", "\\x01\\x02 bad"))
     assert not set(map(chr, range(32))) - {"\n"} & set(text)
 
 
 def test_the_source_and_what_is_no_lens():
     weighted = triplet(wavelengths_nm=(486.1, 587.6, 656.3), weights=(1.0, 2.0, 0.0), primary=1)
     source = to_prescription(weighted, beam="exact").source
-    assert (source.radius, source.plane, source.pupil_area) == (5.0, "axis", None)
-    assert source.wavelength_nm == (486.1, 587.6)
+    assert (source.radius, source.plane, source.pupil_area, source.wavelength_nm) == (5.0, "axis", None, (486.1, 587.6))
     assert source.weights == pytest.approx((1 / 3, 2 / 3))
     built = build(triplet(), beam="front")
     front = by_name(built.prescription)["S1"].semi_diameter
@@ -458,8 +443,7 @@ def test_crossing_surfaces_names_and_tilted_groups():
     shapes = by_name(built.prescription)
     knife = math.sqrt(2 * 50.0 * 1.0 - 1.0)
     for name in ("S2", "S3"):
-        assert shapes[name].semi_diameter == pytest.approx(knife, rel=0.01)
-        assert shapes[name].semi_diameter < knife
+        assert 0.99 * knife <= shapes[name].semi_diameter < knife
     assert any("'S2' and 'S3' cross" in note for note in built.notes)
     # So do both faces of a Mangin mirror, whose first one light meets twice, with the edge between them
     mangin = lens(
@@ -496,8 +480,7 @@ def test_crossing_surfaces_names_and_tilted_groups():
     pairs = {"L1 front": "'L1_front'", "twin": "'S3' and 'S4'", "iris": "'stop_front'", "stop_front": "'S6'"}
     for old, new in {**pairs, "FPA": "'detector'"}.items():
         assert f"'{old}' is {new}" in note
-    with pytest.raises(MistrayError, match="did you mean 'detector'"):
-        mistray.coat(prescription, {"FPA": "R=0.05"})
+    each_refused((prescription, {"FPA": "R=0.05"}, "did you mean 'detector'"), by=mistray.coat)
     tilted = lens(
         Row(1, thickness=5.0, stop=True),
         Row(2, kind="coordinate_break", decentre=Decentre(y=1.0, tilt_deg=(10.0, 0.0, 0.0))),
@@ -507,19 +490,16 @@ def test_crossing_surfaces_names_and_tilted_groups():
         aperture=8.0,
     )
     shapes = by_name(to_prescription(tilted))
-    edge, surface = shapes["L1_edge"], shapes["S3"]
-    assert edge.tilt_deg == surface.tilt_deg == (10.0, 0.0, 0.0)
-    assert (edge.x, edge.y, edge.z) == (surface.x, surface.y, surface.z) == (0.0, 1.0, 5.0)
-    assert isinstance(surface, Surface)
+    for shape in (shapes["L1_edge"], shapes["S3"]):
+        assert (shape.x, shape.y, shape.z, shape.tilt_deg) == (0.0, 1.0, 5.0, (10.0, 0.0, 0.0))
     assert shapes["board_left"].tilt_deg == (10.0, 0.0, 0.0)
     assert shapes["detector"].z == pytest.approx(5.0 + 44.0 * math.cos(math.radians(10.0)))
 
 
 def test_the_stop_has_the_apertures_that_the_file_states():
     shapes = by_name(to_prescription(changed(5, aperture=circle(3.0, 0.5))))
-    assert shapes["stop_front"].r1 == 3.0
-    disc = shapes["S5_obscuration"]
-    assert (disc.semi_diameter, disc.z) == pytest.approx((0.5, shapes["stop_front"].z0), abs=1e-9)
+    stop, disc = shapes["stop_front"], shapes["S5_obscuration"]
+    assert (stop.r1, (disc.semi_diameter, disc.z)) == (3.0, pytest.approx((0.5, stop.z0), abs=1e-9))
     assert "S5_aperture" not in shapes
     shapes = by_name(to_prescription(changed(5, aperture=rectangle(1.0, 3.0))))
     assert shapes["S5_frame_left"].x + shapes["S5_frame_left"].half_width == pytest.approx(-1.0)

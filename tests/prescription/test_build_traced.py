@@ -7,10 +7,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from peers import optiland
+from refusals import refused
 from sequential_lenses import BORED, by_name, lens, newtonian, triplet
 
 import mistray
-from mistray.errors import MistrayError
 from mistray.optimize import path_power, transmission
 from mistray.prescription import Coating, Decentre, Row, Sequential, circle, from_optiland, to_prescription
 from mistray.prescription.closing.system import build
@@ -48,12 +48,10 @@ def test_a_triplet_images_as_its_table_does(field_deg):
     clear = {"S5": prescription.stop.radius, **{face.name: face.semi_diameter for face in prescription.surfaces}}
     radii = np.array([clear.get(f"S{row.number}", np.inf) for row in TRIPLET.rows])
     passed = (np.hypot(hits[..., 0], hits[..., 1]) <= radii[:, None]).all(axis=0)
-    share = t.energy.detected_W / t.energy.launched_W
-    assert share == pytest.approx(passed.mean(), abs=4 * math.sqrt(0.25 / RAYS))
+    assert t.energy.detected_W / t.energy.launched_W == pytest.approx(passed.mean(), abs=4 * math.sqrt(0.25 / RAYS))
     image = hits[-1][passed]
     spread = image[:, 1].std() / math.sqrt(RAYS)
-    assert path.y_mm == pytest.approx(image[:, 1].mean(), abs=5 * spread + 1e-5)
-    assert path.x_mm == pytest.approx(0.0, abs=5 * spread + 1e-5)
+    assert (path.y_mm, path.x_mm) == pytest.approx((image[:, 1].mean(), 0.0), abs=5 * spread + 1e-5)
 
 
 def test_newtonian_and_mangin_mirror_image_as_their_tables():
@@ -93,8 +91,7 @@ def test_no_light_leaves_a_closed_lens(field_deg):
         energy = mistray.trace(scene, rays=20_000, field_deg=field_deg, max_reflections=0).energy
         assert abs(energy.closure) < 1e-5 or edges == "open"
         escaped[edges] = energy.escaped_W
-    assert escaped["blackened"] == 0.0
-    assert (escaped["open"] > 0.0) == (field_deg > 0.0)
+    assert (escaped["blackened"], escaped["open"] > 0.0) == (0.0, field_deg > 0.0)
 
 
 def test_ground_edges_send_light_back():
@@ -113,19 +110,15 @@ def test_a_newtonian_with_coordinate_breaks():
     """Closed form: the focus 1000 mm before the primary is folded by 90° at 800 mm, to 200 mm beside the axis."""
     built = build(newtonian())
     shapes = by_name(built.prescription)
-    assert (shapes["primary"].z, shapes["flat"].z) == (1000.0, 200.0)
-    assert shapes["flat"].tilt_deg == (45.0, 0.0, 0.0)
+    assert (shapes["primary"].z, shapes["flat"].z, shapes["flat"].tilt_deg) == (1000.0, 200.0, (45.0, 0.0, 0.0))
     detector = shapes["detector"]
     assert (detector.x, abs(detector.y), detector.z) == pytest.approx((0.0, 200.0, 200.0), abs=1e-9)
-    assert detector.tilt_deg == (90.0, 0.0, 0.0)
-    assert shapes["primary"].semi_diameter == pytest.approx(100.0)
-    assert built.first_order.efl == pytest.approx(1000.0)
-    assert built.prescription.source.z == pytest.approx(1000.0)
+    assert (detector.tilt_deg, shapes["primary"].semi_diameter) == ((90.0, 0.0, 0.0), pytest.approx(100.0))
+    assert (built.first_order.efl, built.prescription.source.z) == pytest.approx((1000.0, 1000.0))
     assert built.prescription.source.radius == pytest.approx(105.0, rel=1e-3)  # pupils off the axis differ a little
     assert built.prescription.source.pupil_area == pytest.approx(math.pi * 100.0**2)
     # The flat lies 200 mm before the focus: its beam is an ellipse of 1/cos 45° in the plane of the tilt
-    cone = 200.0 / 1000.0 * 100.0
-    assert shapes["flat"].semi_diameter > cone * math.sqrt(2)
+    assert shapes["flat"].semi_diameter > 200.0 / 1000.0 * 100.0 * math.sqrt(2)
     (shadow,) = [note for note in built.notes if note.startswith("mirror 'flat' stands in the beam on its way to sur")]
     # Its own area across the beam, of rays that sample the beam in five rings
     share = shapes["flat"].semi_diameter ** 2 * math.cos(math.radians(45.0)) / 100.0**2
@@ -146,21 +139,17 @@ def test_holes_mangin_mirrors_and_lenses_after_mirrors():
     built = build(lens(*CASSEGRAIN, aperture=200.0), margin=0.0)
     shapes = by_name(built.prescription)
     # Of similar triangles with the paraxial cone; the focus lies 1200 mm behind the secondary
-    beam = 30.0 * (1200 - 700) / 1200
-    assert shapes["primary"].inner_semi_diameter == pytest.approx(beam, rel=0.02)
+    assert shapes["primary"].inner_semi_diameter == pytest.approx(30.0 * (1200 - 700) / 1200, rel=0.02)
     assert any("mirror 'primary' has a hole of radius" in note for note in built.notes)
     assert any("mirror 'secondary' stands in the beam on its way to surface 1" in note for note in built.notes)
-    assert shapes["primary_rear"].z > 0
-    assert shapes["secondary_rear"].z < -700
+    assert shapes["secondary_rear"].z < -700 < 0 < shapes["primary_rear"].z
     hole, bore = shapes["primary"].inner_semi_diameter, shapes["primary_bore"]
     assert shapes["primary_rear"].inner_semi_diameter == bore.r0 == bore.r1 == hole
-    sag = -(hole**2) / 4000.0
-    assert (bore.z0, bore.z1 - bore.z0) == pytest.approx((sag, 5.0), abs=1e-9)
+    assert (bore.z0, bore.z1 - bore.z0) == pytest.approx((-(hole**2) / 4000.0, 5.0), abs=1e-9)
     # Light comes past the detector; a wall from it to the lens would stand in the incoming beam
-    glass = "1.5168"
     mangin = lens(
-        Row(1, radius=-150.0, thickness=5.0, material=glass, stop=True),
-        Row(2, radius=-220.0, thickness=-5.0, mirror=True, material=glass),
+        Row(1, radius=-150.0, thickness=5.0, material="1.5168", stop=True),
+        Row(2, radius=-220.0, thickness=-5.0, mirror=True, material="1.5168"),
         Row(3, radius=-150.0, thickness=-170.0),
         Row(4, kind="image"),
         aperture=40.0,
@@ -168,10 +157,10 @@ def test_holes_mangin_mirrors_and_lenses_after_mirrors():
     built = build(mangin)
     shapes = by_name(built.prescription)
     assert [surface.name for surface in built.prescription.surfaces] == ["S1", "S2"]
-    assert "surface 3 is 'S1' on the way back" in built.notes
-    assert shapes["L1_edge"].front == glass
+    assert shapes["L1_edge"].front == "1.5168"
     assert not any(name.startswith(("barrel", "board")) for name in shapes)
-    assert "there is no wall in space 1: it would stand in the beam" in built.notes
+    for note in ("surface 3 is 'S1' on the way back", "there is no wall in space 1: it would stand in the beam"):
+        assert note in built.notes
     assert any(note.startswith("the detector stands in the beam on its way to surface 1") for note in built.notes)
     catadioptric = lens(
         Row(1, radius=-400.0, mirror=True, stop=True, thickness=-120.0),
@@ -188,9 +177,8 @@ def test_holes_mangin_mirrors_and_lenses_after_mirrors():
     assert (shapes["S2"].front, shapes["S2"].back) == ("1.6", "air")
     assert (shapes["S3"].front, shapes["S3"].back) == ("air", "1.6")
     edge = shapes["L1_edge"]
-    assert edge.front == "1.6"
+    assert (edge.front, shapes["barrel_1_wall"].front) == ("1.6", "air")
     assert edge.z0 < edge.z1 < -120.0
-    assert shapes["barrel_1_wall"].front == "air"
 
 
 def test_a_spot_on_a_lens_and_an_image_on_a_surface_are_moved_by_a_micrometre():
@@ -252,8 +240,7 @@ def test_a_lens_that_another_stands_in_is_bored():
     assert (bore.front, bore.back, bore.coating, bore.part) == ("air", "1.5168", Coating(R=0.0), "L1")
     assert f"the lens between 'S2' and 'S3' has a bore of radius {radius:.6g} mm for 'S6', 'S7'" in built.notes
     assert by_name(to_prescription(BORED, edges="open"))["L1_bore"].coating is None
-    (model,) = by_name(to_prescription(BORED, edges="ground"))["L1_bore"].scatter
-    assert model.name == "ground_edge"
+    assert [s.name for s in by_name(to_prescription(BORED, edges="ground"))["L1_bore"].scatter] == ["ground_edge"]
 
 
 @pytest.mark.parametrize("kept", [True, False])
@@ -264,8 +251,7 @@ def test_an_aperture_on_a_leg_of_a_folded_beam_leaves_the_other_legs_alone(kept)
     leg, own = (1, -600.0) if kept else (2, 100.0)  # from the mirror before it
     rest = replace(opening, thickness=rows[leg].thickness - own)
     table = [*rows[:leg], replace(rows[leg], thickness=own), rest, *rows[leg + 1 :]]
-    folded = lens(*(replace(row, number=k) for k, row in enumerate(table, start=1)), aperture=200.0)
-    built = build(folded, beam="exact")
+    built = build(lens(*(replace(row, number=k) for k, row in enumerate(table, start=1)), aperture=200.0), beam="exact")
     shapes = by_name(built.prescription)
     assert ("opening_aperture" in shapes) == kept
     words = "only light that goes as the design's" if kept else "no plate of its aperture"
@@ -287,11 +273,9 @@ def test_the_beam_covers_the_pupils_of_all_fields_and_a_twentieth_more():
     source = built.prescription.source
     reach = np.hypot(*edge_rays(lens).pupils.T).max()
     assert reach > built.first_order.epd / 2  # the pupils off the axis are larger
-    assert source.radius == pytest.approx(1.05 * reach)
-    assert source.pupil_area == pytest.approx(math.pi * built.first_order.epd**2 / 4)
+    assert (source.radius, source.pupil_area) == pytest.approx((1.05 * reach, math.pi * built.first_order.epd**2 / 4))
     assert source.irradiance == 1.0
-    (note,) = [text for text in built.notes if "wider than the pupil" in text]
-    assert "exact" in note
+    assert ["exact" in text for text in built.notes if "wider than the pupil" in text] == [True]
     exact = build(lens, beam="exact")
     assert exact.prescription.source.radius == built.first_order.epd / 2
     assert not any("wider" in text for text in exact.notes)
@@ -325,8 +309,8 @@ def test_light_beside_the_pupil_and_the_pupil_of_a_source():
     for radius, share in ((5.0, 0.64), (4.0, 1.0), (3.0, 1.0)):
         source = {"type": "collimated", "radius": radius, "pupil_area": math.pi * 16}
         assert mi.load_dict(source).pupil_share == pytest.approx(share)
-    with pytest.raises(MistrayError, match="pupil_area"):
-        mistray.load({"type": "scene", "source": {"type": "collimated", "radius": 1.0, "pupil_area": 0.0}})
+    with refused("pupil_area"):
+        mistray.load({"type": "scene", "source": source | {"pupil_area": 0.0}})
 
 
 @pytest.mark.slow

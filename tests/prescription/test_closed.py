@@ -3,17 +3,8 @@
 import numpy as np
 import pytest
 
-from mistray.prescription import (
-    Decentre,
-    Detector,
-    Outline,
-    OutlineFigure,
-    Row,
-    Sequential,
-    Structure,
-    circle,
-    rectangle,
-)
+from mistray import Detector, Structure
+from mistray.prescription import Decentre, Outline, OutlineFigure, Row, Sequential, circle, rectangle
 from mistray.prescription.closing.system import build
 from mistray.prescription.geometry import detector_frame
 from mistray.prescription.sequential.first_order import field_tangents, first_order
@@ -25,7 +16,6 @@ from mistray.surfaces.surfaces import SurfaceTable
 GLASS = {"material": "N-BK7"}
 CLIPPED, IMAGE = {"aperture": rectangle(8, 5)}, Row(9, kind="image")
 ELLIPSE = Outline((OutlineFigure("ellipse", angle_deg=20, sizes=(8, 6)),))
-X, Y = {"curvature_x": 0.005}, {"curvature_x": -0.05}
 LENSES = {
     "rectangle": (
         Row(1, radius=50, thickness=6, stop=True, **GLASS, **CLIPPED),
@@ -38,8 +28,8 @@ LENSES = {
     "biconics": (
         Row(1, radius=50, thickness=6, stop=True, semi_diameter=10, **GLASS),
         Row(2, radius=-50, thickness=4, semi_diameter=10),
-        Row(3, radius=30, sag=X, thickness=6, semi_diameter=9, **GLASS),
-        Row(4, radius=-50, sag=Y, thickness=10, semi_diameter=11),
+        Row(3, radius=30, sag={"curvature_x": 0.005}, thickness=6, semi_diameter=9, **GLASS),
+        Row(4, radius=-50, sag={"curvature_x": -0.05}, thickness=10, semi_diameter=11),
         Row(5, radius=80, thickness=6, semi_diameter=11, **GLASS),
         Row(6, thickness=20, semi_diameter=11),
     ),
@@ -59,14 +49,12 @@ LENSES = {
 @pytest.mark.parametrize("name", LENSES)
 def test_light_finds_no_way_beside_a_lens(name):
     built = build(Sequential(name, (*LENSES[name], IMAGE), aperture=14))
-    scene = built.prescription.to_scene()
-    table, rng = SurfaceTable(scene, 587.56), np.random.default_rng(0)
+    table, rng = SurfaceTable(built.prescription.to_scene(), 587.56), np.random.default_rng(0)
     media = [(shape.bsdf().front, shape.bsdf().back) for shape in table.shapes]
     clear = [k for k, shape in enumerate(table.shapes) if not shape.bsdf().opaque]
     numbers = [row.number for row in LENSES[name] if row.kind == "surface" and not row.mirror]
-    assert [table.ids[k] for k in clear] == [
-        f"S{number}" for number in numbers if (name, number) != ("Mangin mirror", 3)
-    ]
+    wanted = [f"S{number}" for number in numbers if (name, number) != ("Mangin mirror", 3)]
+    assert [table.ids[k] for k in clear] == wanted
     wrong = []
     for k in clear:
         p, normal = surface_points(table, k, 500, rng)
@@ -76,8 +64,7 @@ def test_light_finds_no_way_beside_a_lens(name):
         p, d, normal = p[away], d[away], normal[away]
         side = np.sum(d * normal, axis=1) > 0
         hit, _, there = first_hit(table, p, d, np.full(len(p), k))
-        onto = np.sum(d * there, axis=1) < 0
-        for a, number, b in zip(side.astype(int), hit, onto.astype(int), strict=True):
+        for a, number, b in zip(side.astype(int), hit, (np.sum(d * there, axis=1) < 0).astype(int), strict=True):
             met = "air" if number < 0 else media[number][b]
             if met != media[k][a] and "_edge" not in (table.ids[number] if number >= 0 else ""):
                 wrong.append((table.ids[k], table.ids[number] if number >= 0 else "none"))
@@ -87,16 +74,14 @@ def test_light_finds_no_way_beside_a_lens(name):
 def test_the_clear_share_of_a_frame_is_that_of_a_turned_detector():
     detector = Detector(x=3.0, z=20.0, tilt_deg=(10.0, 0.0, 35.0), half_width=8, half_height=3)
     frame = detector_frame(detector, 12.0)
-    back = np.linalg.inv(detector.to_world())
-    area = 0.0
+    back, area = np.linalg.inv(detector.to_world()), 0.0
     for piece in frame:
         own = back @ piece.to_world()
         np.testing.assert_allclose(own[:3, :3], np.eye(3), atol=1e-12)
         assert own[2, 3] == pytest.approx(0.0, abs=1e-12)
         assert abs(own[0, 3]) + piece.half_width <= 12 + 1e-9
         assert abs(own[1, 3]) + piece.half_height <= 12 + 1e-9
-        outside = abs(own[0, 3]) >= 8 + piece.half_width - 1e-9 or abs(own[1, 3]) >= 3 + piece.half_height - 1e-9
-        assert outside
+        assert abs(own[0, 3]) >= 8 + piece.half_width - 1e-9 or abs(own[1, 3]) >= 3 + piece.half_height - 1e-9
         area += 4 * piece.half_width * piece.half_height
     assert area == pytest.approx(24**2 - 16 * 6)
 
@@ -115,9 +100,8 @@ def test_a_board_leaves_the_detector_free(turn_deg):
 
 def test_image_heights_of_a_lens_in_water():
     rows = Row(1, radius=20, thickness=4, stop=True, **GLASS), Row(2, radius=-20, thickness=20), IMAGE
-    lens = Sequential(
-        "in water", rows, aperture=0.1, object_material="1.333", field_kind="image_height", fields=((0, 0), (0, 0.01))
-    )  # fmt: skip
+    field = {"field_kind": "image_height", "fields": ((0, 0), (0, 0.01))}
+    lens = Sequential("in water", rows, aperture=0.1, object_material="1.333", **field)
     data = first_order(lens)
     slope = field_tangents(lens, data)[1, 1]
     lens = lens.with_rows((rows[0], Row(2, radius=-20, thickness=data.bfl), IMAGE))

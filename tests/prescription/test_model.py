@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import vectors
+from oracles.small_scenes import write
+from refusals import each_refused, refused
 
 import mistray
-from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface
+from mistray import Coating, Detector, Prescription, Source, Structure, Surface
 from mistray.io import from_zemax, to_sequential, write_zemax
 from mistray.prescription import Grid, ObjectPoint, Stop
 from mistray.scene.read_optics import read_optics
@@ -34,11 +36,9 @@ def lens(z=0.0, radius=50.0, front=None, rear=None):
 
 
 def message(function, *arguments, **keywords):
-    with pytest.raises(MistrayError) as caught:
+    with refused() as caught:
         function(*arguments, **keywords)
-    text = str(caught.value)
-    assert "\n" not in text
-    return text
+    return str(caught.value)
 
 
 def test_bad_parts():
@@ -80,8 +80,7 @@ def test_bad_parts():
 
 
 def test_coatings_crossing_surfaces_stops_and_names():
-    kinds = vectors.toml("tables.toml")["coatings"]
-    for recipe, layered, opaque in kinds:
+    for recipe, layered, opaque in vectors.toml("tables.toml")["coatings"]:
         assert (Coating(**recipe).layered, Coating(**recipe).opaque) == (layered, opaque), recipe
     assert system(*lens(front=AR, rear=AR)).shared_coatings() == {"ar": AR}
     # Two spheres whose sags add up to the thickness; rings of a telescope that share no radius may stand so
@@ -93,8 +92,7 @@ def test_coatings_crossing_surfaces_stops_and_names():
         Surface("M1", semi_diameter=10.0, inner_semi_diameter=6.0, radius=100.0),
         Surface("M3", z=-0.1, semi_diameter=6.0, inner_semi_diameter=1.0, radius=20.0),
     )
-    assert "radius is 5;" in message(Stop, 5.0, 0.0, 0.1, 4.0, 6.0)
-    assert "swap them" in message(Stop, 1.0, 0.2, 0.1, 4.0, 6.0)
+    each_refused((5.0, 0.0, "radius is 5;"), (1.0, 0.2, "swap them"), by=lambda *start: Stop(*start, 0.1, 4.0, 6.0))
     for name in ("", "a.b", " a", "=a", "a\nb"):
         assert ascii(name) in message(Surface, name, semi_diameter=1.0)
         assert ascii(name) in message(Structure, name, 1.0, 0.0, 1.0, 1.0)
@@ -119,10 +117,9 @@ def test_numbers_of_numpy_and_odd_names_of_grids_are_written(tmp_path: Path) -> 
 @pytest.mark.parametrize("missing", ["detector", "source"])
 def test_scene_needs_detector_and_source(missing, tmp_path):
     prescription = system(*lens(), **{missing: None})
-    for write in (prescription.to_dict, prescription.to_scene, lambda: prescription.to_xml(tmp_path / "scene.xml")):
-        text = message(write)
-        assert f"has no {missing}" in text
-        assert f"add {missing}=" in text
+    for given in (prescription.to_dict, prescription.to_scene, lambda: prescription.to_xml(tmp_path / "scene.xml")):
+        with refused("", f"has no {missing}", f"add {missing}="):
+            given()
     assert not list(tmp_path.iterdir())
     for name in ("integrator", "source", "type"):
         taken = system(*lens(), structures=(Structure(name, 9.0, 0.0, 9.0, 1.0),))
@@ -158,15 +155,12 @@ MIRROR = f"SURF 1\n  STOP\n  CURV {1 / RADIUS}\n  CONI {-(ECCENTRICITY**2)}\n  G
 
 def test_an_ellipsoid_images_its_focus(tmp_path: Path) -> None:
     """It is written as it was read: Zemax file, scene, Zemax file."""
-    file = tmp_path / "ellipsoid.zmx"
-    file.write_text(f"{OBJECT}\n{MIRROR}\nSURF 2\n  DISZ 0\n  DIAM 3 1\n")
-    lens = from_zemax(file)
+    lens = from_zemax(write(tmp_path, f"{OBJECT}\n{MIRROR}\nSURF 2\n  DISZ 0\n  DIAM 3 1\n", "ellipsoid.zmx"))
     assert isinstance(lens.source, ObjectPoint)
     lens.to_xml(tmp_path / "scene.xml")
     for scene in (lens.to_scene(), mistray.load(tmp_path / "scene.xml")):
         (direct,) = mistray.trace(scene, rays=20_000, max_reflections=0).paths.select("kind == 'direct'")
-        assert direct.rms_radius_mm < 1e-4
-        assert np.hypot(direct.x_mm, direct.y_mm) < 1e-4
+        assert max(direct.rms_radius_mm, np.hypot(direct.x_mm, direct.y_mm)) < 1e-4
         moved = mistray.trace(scene, rays=20_000, field_mm=1.0, max_reflections=0)
         assert moved.paths.select("kind == 'direct'")[0].y_mm == pytest.approx(-NEAR / FAR, rel=0.05)
     write_zemax(to_sequential(lens), tmp_path / "back.zmx")
@@ -192,12 +186,10 @@ def test_a_polarised_source_comes_back(tmp_path: Path, source, light, stokes) ->
     file = tmp_path / "lens.xml"
     lens.to_xml(file)
     for scene in (lens.to_scene(), mistray.load(file)):
-        (emitter,) = scene.emitters()
-        assert emitter.stokes == pytest.approx(stokes, abs=1e-12)
+        assert [emitter.stokes for emitter in scene.emitters()] == [pytest.approx(stokes, abs=1e-12)]
     found, _ = read_optics(file)
     assert {key: getattr(found.source, key) for key in light} == light
-    text = file.read_text(encoding="utf-8")
-    assert any(key in text for key in ("stokes", "jones", "polarization")) == bool(light)
+    assert any(key in file.read_text(encoding="utf-8") for key in ("stokes", "jones", "polarization")) == bool(light)
 
 
 def test_sources_of_a_call_and_refusals() -> None:
@@ -206,8 +198,7 @@ def test_sources_of_a_call_and_refusals() -> None:
             with pytest.raises(mistray.MistrayError, match=next(iter(light))):
                 replace(source, **light)
     scene = mistray.load("plate", sources=["beam:radius=2,stokes=0 0.6 0.8"])
-    (emitter,) = scene.emitters()
-    assert emitter.stokes == pytest.approx((0, 0.6, 0.8))
+    assert scene.emitters()[0].stokes == pytest.approx((0, 0.6, 0.8))
     assert mistray.trace(scene, rays=64).paths[0].s2 == pytest.approx(0.6, abs=1e-6)
 
 

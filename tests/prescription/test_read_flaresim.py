@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import vectors
 from oracles import nonsequential, scene_xml
+from oracles.small_scenes import write
 from refusals import each_refused, refused
 
 import mistray
@@ -44,12 +45,6 @@ def focus(rows: list[list[float]]) -> tuple[float, float]:
     """Focal length and distance from the last surface to the focus."""
     height, angle = heights(rows)
     return 1 / -angle, height[-1] / -angle
-
-
-def written(tmp_path: Path, text: str) -> Path:
-    path = tmp_path / "own.lens"
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def test_a_lens_with_its_focal_length_and_f_number():
@@ -91,8 +86,7 @@ def test_a_lens_without_a_stop():
     place = filled.index(max(filled))
     assert [k for k, row in enumerate(lens.rows) if row.stop] == [place]
     assert any(f"surface {place + 1} is it" in note for note in lens.notes)
-    path = DATA / "without_its_aspheres.lens"
-    lens = read_flaresim(path)
+    lens = read_flaresim(path := DATA / "without_its_aspheres.lens")
     assert lens.rows[-2].thickness == pytest.approx(focus(rows_of(path))[1], rel=1e-6)
     assert any("paraxial focus" in note for note in lens.notes)
 
@@ -100,20 +94,19 @@ def test_a_lens_without_a_stop():
 def test_semi_diameters_by_the_f_number_and_cement(tmp_path):
     """f = 49.2 mm: a stop of 4.9 mm is F/5 as a semi-diameter, one of 9.8 mm as a diameter."""
     for stop, size, kind in ((4.7, 8, "semi-diameters"), (9.4, 16, "full diameters")):
-        lens = read_flaresim(written(tmp_path, SINGLET.format(stop=stop, size=size)))
+        lens = read_flaresim(write(tmp_path, SINGLET.format(stop=stop, size=size), "own.lens"))
         assert any(kind in note for note in lens.notes), lens.notes
-        assert lens.aperture == pytest.approx(9.4)
-        assert lens.rows[0].semi_diameter == pytest.approx(8)
+        assert (lens.aperture, lens.rows[0].semi_diameter) == pytest.approx((9.4, 8))
     head = SINGLET.partition("50.0   5.0")[0]
     apart = "50 5 1.6031101 60 16 1\n-60 0 1 0 16 0\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
     joined = "50 5 1.6031101 60 16 1\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
-    lenses = [read_flaresim(written(tmp_path, head + rows)) for rows in (apart, joined)]
+    lenses = [read_flaresim(write(tmp_path, head + rows, "own.lens")) for rows in (apart, joined)]
     assert any("2 and 3" in note for note in lenses[0].notes)
     both = [[(row.radius, row.material, row.thickness, row.coating) for row in lens.rows] for lens in lenses]
     assert both[0] == both[1]
     assert both[0][0][1] == "nd=1.6031101 Vd=60.0 k=0"
     within = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\nstop 0 1 0 1e6 0\n-60 3 1.7 30 14 1\n-300 71 1 0 16 0\n"
-    lens = read_flaresim(written(tmp_path, head + within))
+    lens = read_flaresim(write(tmp_path, head + within, "own.lens"))
     assert [(row.number, row.stop) for row in lens.rows] == [(1, False), (2, True), (5, False), (6, False)]
     assert lens.aperture == 14
 
@@ -121,7 +114,7 @@ def test_semi_diameters_by_the_f_number_and_cement(tmp_path):
 def test_what_cannot_be_read_is_named(tmp_path):
     for old, new, message in vectors.toml("refusals.toml")["files of FlareSim"]:
         text = SINGLET.replace(old, new).format(size=16, stop=9.4)
-        path = written(tmp_path, text) if old else DATA / "converter.lens"
+        path = write(tmp_path, text, "own.lens") if old else DATA / "converter.lens"
         with refused(re.escape(message), path.name):
             read_flaresim(path)
 
@@ -160,27 +153,21 @@ def test_focal_length_at_two_wavelengths(camera):
 
 
 def test_surfaces(camera):
-    names = [s.name for s in camera.surfaces]
     parts = ["window", "L1", "L2", "L3", "L4", "L5", "filter"]
-    assert names == [f"{part}_{face}" for part in parts for face in ("front", "rear")]
+    assert [s.name for s in camera.surfaces] == [f"{part}_{face}" for part in parts for face in ("front", "rear")]
     rows = [row for row in PARSED["surfaces"] if row["medium_after"] != "AIR" or "rear" in row["name"]]
     for surface, row in zip(camera.surfaces, rows, strict=True):
-        assert surface.z == row["z"]
-        assert surface.radius == (row["radius"] or 0)
+        assert (surface.z, surface.radius) == (row["z"], row["radius"] or 0)
         assert surface.semi_diameter == row["semi_diameter"]
         assert surface.rim[1] == pytest.approx(row.get("edge_z", row["z"]), abs=6e-7)
-    assert {s.coating.R for s in camera.surfaces if s.part in ("window", "filter")} == {0.01}
-    assert {s.coating.R for s in camera.surfaces if s.part.startswith("L")} == {0.02}
-    filling = from_json(FILE, beam="exact").source
-    assert np.pi * filling.radius**2 == pytest.approx(PARSED["sources"]["stray_light"]["power_W"], rel=1e-9)
+    assert {(s.part.startswith("L"), s.coating.R) for s in camera.surfaces} == {(False, 0.01), (True, 0.02)}
+    filling, power = from_json(FILE, beam="exact").source, PARSED["sources"]["stray_light"]["power_W"]
+    assert (np.pi * filling.radius**2, camera.source.pupil_area) == pytest.approx((power, power), rel=1e-9)
     assert camera.source.radius == pytest.approx(1.05 * filling.radius)
-    assert camera.source.pupil_area == pytest.approx(PARSED["sources"]["stray_light"]["power_W"], rel=1e-9)
-    assert camera.source.wavelength_nm == (550.0,)
-    assert (camera.source.x, camera.source.y, camera.source.z) == (0, 0, 0)
+    assert (camera.source.wavelength_nm, camera.source.x, camera.source.y, camera.source.z) == ((550.0,), 0, 0, 0)
     wall = next(face for face in camera.stop.faces() if face.name == "stop_wall")
     assert (wall.r0, wall.z0, wall.r1, wall.z1) == (1.25171162, -0.075, 1.25171162, 0.0)
-    assert camera.detector.coating.R == 0.2
-    assert camera.detector.coating.opaque
+    assert (camera.detector.coating.R, camera.detector.coating.opaque) == (0.2, True)
     assert 2 * camera.detector.half_width == pytest.approx(PARSED["detector"]["width"], abs=1e-8)
 
 
@@ -190,8 +177,7 @@ def test_every_barrel_piece_is_there_once(camera):
     pieces["1"] -= 3
     pieces["7"] += 3
     assert pieces == Counter(str(s.space) for s in camera.structures if s.part in ("barrel", "board"))
-    flat = [s for s in camera.shapes() if isinstance(s, Structure) and s.z0 == s.z1]
-    for a, b in combinations(flat, 2):
+    for a, b in combinations([s for s in camera.shapes() if isinstance(s, Structure) and s.z0 == s.z1], 2):
         if a.z0 == b.z0:
             overlap = min(max(a.r0, a.r1), max(b.r0, b.r1)) - max(min(a.r0, a.r1), min(b.r0, b.r1))
             assert overlap <= 0, (a.name, b.name)
@@ -234,22 +220,18 @@ def test_every_cell_is_closed(cell, variant):
             here, shape = hit == number, model.shapes[number]
             normal = shape.normal(origin[here])
             from_front = np.einsum("ij,ij->i", normal, direction[here]) > 0
-            near = np.where(from_front, shape.interface.front, shape.interface.back)
-            assert set(near) == {material}, shape.shape_id
+            assert set(np.where(from_front, shape.interface.front, shape.interface.back)) == {material}, shape.shape_id
             inward = np.where(from_front[:, None], -normal, normal)
             fresh = rng.normal(size=inward.shape)
             fresh /= np.linalg.norm(fresh, axis=1, keepdims=True)
-            away = np.sum(fresh * inward, axis=1, keepdims=True)
-            direction[here] = fresh - 2 * np.minimum(away, 0) * inward
+            direction[here] = fresh - 2 * np.minimum(np.sum(fresh * inward, axis=1, keepdims=True), 0) * inward
         last = hit
 
 
 def changed(tmp_path, change):
     data = json.loads(FILE.read_text())
     change(data)
-    path = tmp_path / "lens.json"
-    path.write_text(json.dumps(data))
-    return path
+    return write(tmp_path, json.dumps(data), "lens.json")
 
 
 def test_bad_files(tmp_path):
@@ -267,18 +249,15 @@ def test_bad_files(tmp_path):
         (lambda d: d.update(scatter=[POLISH | {"shapes": ["L9_*"]}]), r"no shape is called 'L9_\*'"),
         (lambda d: None, "R13=5", "variant 'R13=5' is unknown"),
         (lambda d: d["variants"].update(x={"change": {"S13": 5.0}}), "x", words),
+        (lambda d: d["variants"].update(x={"change": {"S99.radius": 5}}), "x", "changes 'S99', which is no surface"),
+        (lambda d: d["variants"].update(x={"change": {"S13.radios": 5}}), "x", "changes 'S13.radios'"),
         by=lambda change, variant=None: from_json(changed(tmp_path, change), variant=variant),
     )
-    (tmp_path / "text.json").write_text("{")
-    (tmp_path / "list.json").write_text("[]")
-    for key, wrong in (("S99.radius", "changes 'S99', which is no surface"), ("S13.radios", "changes 'S13.radios'")):
-        with refused(wrong):
-            from_json(changed(tmp_path, lambda d, key=key: d["variants"].update(x={"change": {key: 5}})), variant="x")
     each_refused(
-        ("none.json", "No such file"),
-        ("text.json", "must be a JSON file"),
-        ("list.json", "compare with scenes/phone_camera"),
-        by=lambda file: from_json(tmp_path / file),
+        (tmp_path / "none.json", "No such file"),
+        (write(tmp_path, "{", "text.json"), "must be a JSON file"),
+        (write(tmp_path, "[]", "list.json"), "compare with scenes/phone_camera"),
+        by=from_json,
     )
 
 
@@ -300,18 +279,15 @@ def test_missing_orders_are_0_and_every_piece_of_one_name_is_there(tmp_path):
 
 
 def test_coatings_of_layers(tmp_path):
-    layers = {"layers": "MgF2 99.6, 2.1 0.5w", "design_nm": 500.0}
-    shared = {"preset": "bbar3", "name": "ar"}
+    layers, shared = {"layers": "MgF2 99.6, 2.1 0.5w", "design_nm": 500.0}, {"preset": "bbar3", "name": "ar"}
     change = {"lenses": layers, "window, IR filter": shared}
     lens = from_json(changed(tmp_path, lambda data: data["coatings"].update(change)))
-    by_part = {surface.part: surface.coating for surface in lens.surfaces}
-    assert by_part["L1"] == Coating(**layers)
-    assert by_part["window"] == by_part["filter"] == Coating(**shared)
+    coating = {surface.part: surface.coating for surface in lens.surfaces}
+    assert (coating["L1"], coating["window"], coating["filter"]) == (Coating(**layers), *2 * [Coating(**shared)])
     dirt = {"kind": "particulate", "level": 300.0, "shapes": ["window_*", "barrel_?_cone"]}
     lens = from_json(changed(tmp_path, lambda data: data.update(scatter=[POLISH, dirt])))
     scatter = {shape.name: shape.scatter for shape in lens.shapes() if shape.scatter}
     particles = Scatter("particulate", {"level": 300.0})
     assert scatter["L3_front"] == (Scatter("harvey_shack", {"rms_nm": 4.0}, name="polish"),)
-    assert scatter["window_rear"] == (*scatter["L3_front"], particles)
-    assert scatter["barrel_4_cone"] == (particles,)
+    assert (scatter["window_rear"], scatter["barrel_4_cone"]) == ((*scatter["L3_front"], particles), (particles,))
     assert "L3_rear" not in scatter

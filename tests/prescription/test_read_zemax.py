@@ -1,10 +1,10 @@
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import vectors
+from oracles.small_scenes import write
 from refusals import each_refused, refused
 
 from mistray.materials import refractive_index
@@ -14,7 +14,7 @@ from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import frames, to_world, trace
 
 pytestmark = pytest.mark.quick
-COATINGS = Path(__file__).parents[1] / "data" / "coating_sample.dat"
+COATINGS = vectors.DATA / "coating_sample.dat"
 SYSTEM = vectors.text("zemax_system.txt").rstrip()
 FIELD = "FTYP 0 0 1 1 0 0 0\nXFLN 0\nYFLN 0"
 OBJECT = "SURF 0\n  TYPE STANDARD\n  DISZ INFINITY"
@@ -27,9 +27,7 @@ SINGLET = "\n".join([SYSTEM, OBJECT, FRONT, REAR, IMAGE])
 @pytest.fixture
 def read(tmp_path):
     def reader(text: str | bytes, **options) -> Sequential:
-        path = tmp_path / "lens.zmx"
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return read_zemax(path, **options)
+        return read_zemax(write(tmp_path, text, "lens.zmx"), **options)
 
     return reader
 
@@ -104,8 +102,7 @@ def test_tilts_folds_and_terms_in_r2_by_hand(read):
     lines = ["SURF 1", "  DISZ 5", "  GLAS N-BK7 0 0", "SURF 2", "  TYPE COORDBRK", "  PARM 1 1", "  DISZ 3", "SURF 3"]
     lines += ["  GLAS MIRROR 0 0", "  DISZ -8", "SURF 4", "  DISZ -9", "SURF 5", "  DISZ 0"]
     rows = read("\n".join([SYSTEM, OBJECT, *lines])).rows
-    assert [row.material for row in rows] == ["schott/N-BK7"] * 3 + ["air"] * 2
-    assert rows[1].decentre == Decentre(x=1.0)
+    assert ([row.material for row in rows], rows[1].decentre) == (["schott/N-BK7"] * 3 + ["air"] * 2, Decentre(x=1.0))
     row = read(surface("SCBD 1 1 0 0.5 -0.25 10 20 30", "SCBD 2 0 0 0 0 0 0 0", "DISZ 2")).rows[0]
     assert row.decentre == Decentre(x=0.5, y=-0.25, tilt_deg=(10.0, 20.0, 30.0), tilt_first=True)
     text = surface("GLAS ___BLANK 1 0 1.6 40", "DISZ 1").replace("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 2 1 1.5 30")
@@ -151,8 +148,7 @@ def test_agf_file_and_replacements_go_first(read, tmp_path):
     agf = tmp_path / "own.agf"
     agf.write_text("NM N-BK7 1 0 1.6 40\nCD 2.56 0 0 0 0 0\nLD 0.3 2.5\nIT 0.3 0.9 10\nIT 2.5 0.9 10\n")
     material = read(glass("GLAS n-bk7 0 0", "GCAT SCHOTT"), glass_catalogues=[agf]).rows[0].material
-    assert material == f"{agf}:n-bk7"
-    assert refractive_index(material, 587.56) == pytest.approx(1.6)
+    assert (material, refractive_index(material, 587.56)) == (f"{agf}:n-bk7", pytest.approx(1.6))
     lens = read(glass("GLAS SECRET 0 0"), glass_catalogues=[agf], glasses={"secret": "1.75"})
     assert lens.rows[0].material == "1.75"
     assert "glass SECRET: replaced by 1.75, as asked" in lens.notes
@@ -171,8 +167,7 @@ def test_agf_file_and_replacements_go_first(read, tmp_path):
         (["DIAM 9 0", "CLAP 0 3 0", "OBDC 6 8"], 13.0, False, circle(3.0, x=6.0, y=8.0)),
         (["DIAM 4 0", "OBSC 0 1 0"], 4.0, False, (None, circle(1.0))),
         (["SQAP 3 4 0"], 5.0, False, rectangle(3.0, 4.0)),
-        (["DIAM 4 0", "SQOB 1 2 0", "OBDC 0 1"], 4.0, False,
-         (None, rectangle(1.0, 2.0, y=1.0))),
+        (["DIAM 4 0", "SQOB 1 2 0", "OBDC 0 1"], 4.0, False, (None, rectangle(1.0, 2.0, y=1.0))),
         (["ELAP 3 3"], 3.0, True, circle(3.0)),
         (["ELAP 3 4", "OBDC 1 0"], math.hypot(4.0, 4.0), False,
          Outline((OutlineFigure("ellipse", "+", 1.0, 0.0, sizes=(3.0, 4.0)),))),
@@ -187,8 +182,7 @@ def test_apertures(lines, semi_diameter, fixed, aperture, read):
     row = lens.rows[0]
     clear, opaque = aperture if isinstance(aperture, tuple) else (aperture, None)
     assert (row.semi_diameter, row.semi_diameter_fixed) == (semi_diameter, fixed)
-    assert (row.aperture, row.obscuration) == (clear, opaque)
-    assert lens.unread == ()
+    assert (row.aperture, row.obscuration, lens.unread) == (clear, opaque, ())
 
 
 FIELDS = "FTYP {} 0 2 1\nXFLN 1 2 9 9\nYFLN 3 4 9 9\nVDXN 0 0.1 9\nVDYN 0 0.2 9\nVCXN 0 0.3 9\nVCYN 0 0.4 9\nVANN 0 0 0"
@@ -225,19 +219,16 @@ def test_system_lines_finite_objects_angles_and_coatings(read):
     rows = f"SURF 1\n  STOP\n  CURV {1 / 60}\n  GLAS ___BLANK 1 0 1.5 0\nSURF 2\n  CURV {-1 / 60}\n  DISZ 180"
     text = "\n".join([SYSTEM, OBJECT.replace("INFINITY", "90"), rows, "SURF 3", "  DISZ 0"])
     lens = read(text.replace("ENPD 8", "FNUM 5 1"))
-    assert lens.aperture_kind == "object_na"
-    assert math.tan(math.asin(lens.aperture)) == pytest.approx(0.2, rel=1e-12)
+    assert (lens.aperture_kind, math.tan(math.asin(lens.aperture))) == ("object_na", pytest.approx(0.2, rel=1e-12))
     assert any("working F-number 5 " in note for note in lens.notes)
     oil = text.replace("  DISZ 90", "  DISZ 90\n  GLAS ___BLANK 1 0 1.5 0")
-    lens = read(oil.replace("ENPD 8", "OBNA 30 1"))  # NA = n sin θ
-    assert lens.aperture == pytest.approx(0.75)
+    assert read(oil.replace("ENPD 8", "OBNA 30 1")).aperture == pytest.approx(0.75)  # NA = n sin θ
     lens = read(text.replace("ENPD 8", "FNUM 5 0"))  # of infinite conjugates, wherever the object is
     assert first_order(lens).epd == pytest.approx(60 / 5)
     floating = SINGLET.replace("ENPD 8", "FLOA").replace("  STOP", "  STOP\n  DIAM 3.5 0\n  CLAP 0 6 0")
     assert read(floating).aperture == 7.0  # of the semi-diameter, whatever aperture the surface has
     lens = read(text.replace("ENPD 8", "OBNA 0.1 0").replace("FTYP 0 0", "FTYP 1 1"))
-    assert lens.telecentric
-    assert lens.unread == ()
+    assert (lens.telecentric, lens.unread) == (True, ())
     # Azimuth 30°, elevation 40°: the direction (cos 40° sin 30°, sin 40°, cos 40° cos 30°) has the same tangents
     text = SINGLET.replace("FTYP 0", "FTYP 4").replace("XFLN 0", "XFLN 30").replace("YFLN 0", "YFLN 40")
     ((x, y),) = read(text).fields
@@ -279,8 +270,7 @@ def test_lines_are_listed_or_refused(read):
         lens = read(text)
         assert [line.text for line in lens.unread] == lines
         for line in lens.unread:
-            assert text.splitlines()[line.line - 1].strip() == line.text
-            assert line.reason
+            assert (text.splitlines()[line.line - 1].strip(), bool(line.reason)) == (line.text, True)
         if not lines:  # those that are known to have no effect
             assert [replace(row, line=0) for row in lens.rows] == [replace(row, line=0) for row in read(SINGLET).rows]
     # An unknown keyword is listed wherever it stands, and so is one between two surfaces
@@ -308,11 +298,9 @@ CONFIGURATIONS = SINGLET + "\n" + vectors.text("zemax_configurations.txt")
 def test_configurations(wanted, read):
     saved, other = read(CONFIGURATIONS), read(CONFIGURATIONS, configuration=wanted)
     assert saved.rows == read(SINGLET).rows == read(SINGLET, configuration=1).rows
-    assert math.isinf(saved.object_distance)
-    assert other.object_distance == 800
+    assert (saved.object_distance, other.object_distance) == (math.inf, 800)
     assert (other.rows[1].thickness, other.rows[0].radius, other.aperture) == (97.5, -100, 7.25)
-    assert other.fields[0] == (saved.fields[0][0], 3.5)
-    assert other.vignetting[0] == (0, 0.125, 0, 0)
+    assert (other.fields[0], other.vignetting[0]) == ((saved.fields[0][0], 3.5), (0, 0.125, 0, 0))
     for lens in (saved, other):
         assert any("'other glass'" in note for note in lens.notes)
         assert lens.unread == ()
@@ -320,9 +308,9 @@ def test_configurations(wanted, read):
     assert read(old.replace("YFIE 1 2", "YFIE 3 2"), configuration=2).fields == ((0, 0), (7, 7), (10, 3.5))
     # A solve has set the back focus for the saved configuration alone
     solved = CONFIGURATIONS.replace("DISZ 45", "DISZ 45\n  MAZH 0 0")
-    notes = [" ".join(read(solved, configuration=wanted).notes) for wanted in (1, 2)]
-    assert "not solved anew" not in notes[0]
-    assert "; not solved anew, but as in configuration 1: MAZH of surface 2" in notes[1]
+    first, second = (" ".join(read(solved, configuration=wanted).notes) for wanted in (1, 2))
+    assert "not solved anew" not in first
+    assert "; not solved anew, but as in configuration 1: MAZH of surface 2" in second
 
 
 def test_configurations_that_cannot_be_read(read):

@@ -13,6 +13,7 @@ import pytest
 import vectors
 from command_line import fails, succeeds
 from oracles import brushed
+from oracles.small_scenes import write
 from refusals import each_refused, refused
 
 import mistray  # noqa: F401
@@ -81,8 +82,7 @@ class TestValues:
         there = directions()
         for angle in (0.0, 23.0, 47.0, 71.0):
             r = np.hypot(there[:, 0] - np.sin(np.radians(angle)), there[:, 1])
-            error = np.abs(values(model, angle, there) / (0.0025 / (0.001 + r**1.8)) - 1)
-            assert np.percentile(error, 90) < 0.02
+            assert np.percentile(np.abs(values(model, angle, there) / (0.0025 / (0.001 + r**1.8)) - 1), 90) < 0.02
             cosine = np.cos(np.radians([angle]))
             found, expected = (lobe_total(one.lobes(550, 1, 1.5, True)[0], cosine, 1, 1.5) for one in (model, truth))
             np.testing.assert_allclose(found, expected, rtol=0.02)
@@ -107,6 +107,9 @@ def test_beyond_the_last_polar_angle(beyond: str, value: float) -> None:
     grazing = np.array([[np.sin(1.3), 0.0, np.cos(1.3)], [np.sin(0.8), 0.0, np.cos(0.8)]])
     model = Tabulated(short("normal"), beyond=beyond)
     np.testing.assert_allclose(values(model, 0.0, grazing), [value, 0.1], rtol=1e-9, atol=1e-9)
+    # One polar angle that is held is a Lambertian
+    samples = BsdfSamples("one", "normal", np.zeros(1), np.array([0.0, 180.0]), np.zeros(1), np.full((1, 2, 1), 0.1))
+    assert samples.totals(beyond="hold") == pytest.approx([0.1 * math.pi], rel=1e-3)
 
 
 def test_a_full_circle_is_halved_if_both_halves_are_the_same() -> None:
@@ -136,6 +139,10 @@ def with_one(value: float) -> BsdfSamples:
     return BsdfSamples("bad", "normal", ANGLES, AZIMUTH, full.polar_deg, full.values)
 
 
+def bright(rho: np.ndarray) -> np.ndarray:
+    return 0.1 + 2 * two_fold(rho)
+
+
 def test_refused() -> None:
     each_refused(
         (lambda: Tabulated(level(1.5 / np.pi)), r"TIS = 1\.5 at \d+°, more than all light"),
@@ -163,7 +170,7 @@ def test_refused() -> None:
         (lambda: whole_circle("test", np.array([0.0, 100, 200]), np.ones((1, 3, 2))), "azimuths from 0 to 200° do not"),
         (lambda: RotatedSamples(np.array([0.0, 180.0]), (grid(),)), "1 BSDF tables for 2 sample rotations"),
         (
-            lambda: Tabulated(reduced([0, 90, 180, 270], lambda rho: 0.3 + 0.1 * np.cos(2 * np.radians(rho)))),
+            lambda: Tabulated(reduced([0, 90, 180, 270], bright)),
             r"TIS = 1.2\d* at 0° and rotation 0°, more than all light",
         ),
     )
@@ -179,7 +186,6 @@ def test_events_and_equality() -> None:
     assert (one, hash(one)) == (Tabulated(level()), hash(Tabulated(level())))
 
 
-LAMBERT = vectors.text("lambert.bsdf")
 DENSE = np.concatenate([[0.0], np.geomspace(0.05, 150, 60)])
 
 
@@ -192,8 +198,7 @@ def random_samples(frame: str, event: str | None) -> BsdfSamples:
 
 class TestZemax:
     def test_lambertian(self, tmp_path: Path) -> None:
-        (tmp_path / "lambert.BSDF").write_text(LAMBERT)
-        model = Tabulated.read(tmp_path / "lambert.BSDF")
+        model = Tabulated.read(write(tmp_path, vectors.text("lambert.bsdf"), "lambert.BSDF"))
         rng = np.random.default_rng(1)
         for theta_i, theta_s, phi in rng.random((200, 3)) * [1.5, 1.55, np.pi]:
             d = np.array([[np.sin(theta_s) * np.cos(phi), np.sin(theta_s) * np.sin(phi), np.cos(theta_s)]])
@@ -204,8 +209,7 @@ class TestZemax:
     def test_round_trip(self, tmp_path: Path, event: str) -> None:
         samples = random_samples("specular", event)
         write_zemax_bsdf(samples, tmp_path / "a.bsdf", "made by a test\nof two lines")
-        text = (tmp_path / "a.bsdf").read_text()
-        assert text.startswith("# made by a test\n# of two lines\nSource Measured\n")
+        assert (tmp_path / "a.bsdf").read_text().startswith("# made by a test\n# of two lines\nSource Measured\n")
         read = read_zemax_bsdf(tmp_path / "a.bsdf")
         assert read.event == event
         for key in ("specular_deg", "azimuth_deg", "polar_deg"):
@@ -213,9 +217,9 @@ class TestZemax:
         np.testing.assert_allclose(read.values, samples.values, rtol=1e-6)
 
     def test_total_in_the_file(self, tmp_path: Path) -> None:
-        shape = (2, 3, len(DENSE))
-        level = BsdfSamples("x", "specular", np.array([0.0, 60.0]), np.array([0.0, 90.0, 180.0]), DENSE,
-                        np.full(shape, 0.3 / np.pi), "reflection")  # fmt: skip
+        angles, azimuth = np.array([0.0, 60.0]), np.array([0.0, 90.0, 180.0])
+        values = np.full((2, 3, len(DENSE)), 0.3 / np.pi)
+        level = BsdfSamples("x", "specular", angles, azimuth, DENSE, values, "reflection")
         write_zemax_bsdf(level, tmp_path / "a.bsdf")
         totals = [float(line.split()[1]) for line in (tmp_path / "a.bsdf").read_text().splitlines() if "TIS" in line]
         assert totals == pytest.approx([0.3, 0.3], rel=1e-3)
@@ -387,7 +391,6 @@ def test_a_smooth_lobe_between_coarse_azimuths() -> None:
     assert found == pytest.approx(expected, rel=0.04)
 
 
-POLISH = Path(__file__).parents[1] / "data" / "psd_polish.csv"
 TABLE = 2e-3  # relative: power laws between 600 frequencies, and a constant below the first
 
 
@@ -397,7 +400,7 @@ def test_is_the_model_that_was_tabulated(theory: str) -> None:
     known = KCorrelation(4.0, 20.0, 2.5, theory=theory, event=event)
     r = np.geomspace(1e-5, 2, 200)
     for wavelength, n_in, n_out in ((550.0, 1.0, 1.5), (550.0, 1.5, 1.0), (1064.0, 1.0, 1.7)):
-        table = PsdTable.read(POLISH, theory=theory, event=event, beyond="slope")
+        table = PsdTable.read(vectors.DATA / "psd_polish.csv", theory=theory, event=event, beyond="slope")
         ours, theirs = (m.lobes(wavelength, n_in, n_out, True) for m in (table, known))
         for a, b in zip(ours, theirs, strict=True):
             assert (a.event, a.factor) == (b.event, b.factor)
@@ -416,9 +419,8 @@ def test_total_of_a_smooth_surface() -> None:
 
 
 def test_units_and_scale(tmp_path: Path) -> None:
-    mm, um = tmp_path / "mm.csv", tmp_path / "um.csv"
-    mm.write_text("frequency_1_mm,psd_nm2_mm2\n1,1e-3\n10000,1e-7\n")
-    um.write_text("# the same\nfrequency_1_um,psd_um4\n0.001,1e-3\n10,1e-7\n")
+    mm = write(tmp_path, "frequency_1_mm,psd_nm2_mm2\n1,1e-3\n10000,1e-7\n", "mm.csv")
+    um = write(tmp_path, "# the same\nfrequency_1_um,psd_um4\n0.001,1e-3\n10,1e-7\n", "um.csv")
     f = np.array([1e-4, 1e-3, 0.03, 10.0])
     a, b, twice = PsdTable.read(mm), PsdTable.read(um), PsdTable.read(um, scale=2.0)
     np.testing.assert_allclose(a.psd(550.0)(f), b.psd(550.0)(f), rtol=1e-12)
@@ -479,9 +481,8 @@ def test_incidences_and_azimuths_of_speos(tmp_path):
     assert list(samples.specular_deg) == list(INCIDENCES)
     speos(file, lambda i, t, p: math.exp(-((t - i) ** 2 + (180 - abs(p - 180)) ** 2 / 4) / 50))
     samples = read_speos_bsdf(file)
-    assert samples.frame == "normal"
     azimuth, polar = np.unravel_index(np.argmax(samples.values[2]), samples.values[2].shape)
-    assert (samples.azimuth_deg[azimuth], samples.polar_deg[polar]) == (0.0, 60.0)
+    assert (samples.frame, samples.azimuth_deg[azimuth], samples.polar_deg[polar]) == ("normal", 0.0, 60.0)
 
 
 @pytest.mark.parametrize("of_bsdf", [True, False])
@@ -498,9 +499,8 @@ def test_total_of_speos(tmp_path, incidence, of_bsdf):
         x, y = np.sin(theta) * np.cos(phi) - np.sin(specular), np.sin(theta) * np.sin(phi)
         return np.exp(-(x * x + y * y) / 0.04**2) * (1.0 if of_bsdf else np.cos(theta)) + 1e-4
 
-    file = tmp_path / "a.anisotropicbsdf"
-    speos(file, values, of_bsdf=of_bsdf, phis=np.arange(0.0, 360.0, 20.0), at=f"{incidence}\t0")
-    (found,) = scan(Tabulated.read(file), [incidence])
+    grid = {"phis": np.arange(0.0, 360.0, 20.0), "at": f"{incidence}\t0"}
+    (found,) = scan(Tabulated.read(speos(tmp_path / "a.anisotropicbsdf", values, of_bsdf=of_bsdf, **grid)), [incidence])
     assert found.scattered == pytest.approx(0.3, rel=1e-3)
 
 
@@ -538,21 +538,13 @@ def test_wrong_speos_files(tmp_path, old, new, message):
         read_speos_bsdf(file)
 
 
-def test_one_polar_angle_that_is_held_is_a_lambertian() -> None:
-    samples = BsdfSamples("one", "normal", np.zeros(1), np.array([0.0, 180.0]), np.zeros(1), np.full((1, 2, 1), 0.1))
-    assert samples.totals(beyond="hold") == pytest.approx([0.1 * math.pi], rel=1e-3)
-
-
 @pytest.fixture
 def catalogue(tmp_path: Path) -> Path:
-    file = tmp_path / "ABG_DATA.DAT"
-    file.write_text(vectors.text("abg_catalogue.dat"), encoding="utf-8")
-    return file
+    return write(tmp_path, vectors.text("abg_catalogue.dat"), "ABG_DATA.DAT")
 
 
 def test_entries(catalogue: Path) -> None:
-    entries = read_abg_data(catalogue)
-    found = [(entry.name, entry.line, len(entry.rows)) for entry in entries.values()]
+    found = [(entry.name, entry.line, len(entry.rows)) for entry in read_abg_data(catalogue).values()]
     assert found == [("Polish 1", 2, 1), ("LAMBERT", 6, 2), ("steep", 10, 2)]
     model = abg_from_catalogue(f"{catalogue}:polish 1", side="front")
     assert (model.A, model.B, model.g, model.side) == (2e-5, 1e-6, 2.0, "front")

@@ -164,9 +164,7 @@ TILE = """<shape type="asphere" id="tile_{k}"><float name="half_width" value="0.
 
 
 def row(folder: Path, shape: str, count: int) -> Path:
-    path = folder / f"{count}.xml"
-    path.write_text(f'<scene version="3.0.0">{"".join(shape.format(k=k) for k in range(count))}</scene>')
-    return path
+    return scene_of(folder, "".join(shape.format(k=k) for k in range(count)), f"{count}.xml")
 
 
 def seconds(path: Path) -> float:
@@ -248,7 +246,7 @@ def nested(levels: int) -> str:
 
 def test_deep_files_are_refused(tmp_path: Path) -> None:
     path, whole = tmp_path / "deep.xml", tmp_path / "scene.xml"
-    whole.write_text('<scene version="3.0.0"><include filename="deep.xml"/><include filename="scene.xml"/></scene>')
+    scene_of(tmp_path, '<include filename="deep.xml"/><include filename="scene.xml"/>')
     for levels in (DEEPEST + 1, 20_000):
         path.write_text(nested(levels))
         said = f"scene '{path}', line 2: <bsdf> lies within 100 other elements; close them first"
@@ -263,9 +261,7 @@ def test_deep_files_are_refused(tmp_path: Path) -> None:
 
 def scene_of(folder: Path, text: str, name: str = "scene.xml") -> Path:
     """A file with these elements in a scene."""
-    path = folder / name
-    path.write_text(f'<scene version="3.0.0">{text}</scene>')
-    return path
+    return write(folder, f'<scene version="3.0.0">{text}</scene>', name)
 
 
 def refusal(folder: Path, text: str) -> str:
@@ -301,8 +297,7 @@ def test_what_is_no_number_is_refused_and_others_stay(tmp_path: Path) -> None:
 def test_includes_that_multiply(tmp_path: Path) -> None:
     """Fourteen files of two kilobytes, six includes each: 1.6e10 files; Mitsuba would not end."""
     for k in range(14):
-        include = f'<include filename="part{k + 1}.xml"/>' if k < 13 else ""
-        scene_of(tmp_path, include * 6, f"part{k}.xml")
+        scene_of(tmp_path, (f'<include filename="part{k + 1}.xml"/>' if k < 13 else "") * 6, f"part{k}.xml")
     began = time.monotonic()
     with refused(r"part0\.xml': it includes more than 1000 files, .*; put"):
         mistray.load(tmp_path / "part0.xml")
@@ -330,8 +325,7 @@ def test_files_within_each_other(tmp_path: Path) -> None:
         mistray.load(tmp_path / "0.xml")
     assert "'scene.xml' lies within itself" in refusal(tmp_path, '<include filename="scene.xml"/>')
     folder = tmp_path / "my scenes (old)"
-    folder.mkdir()
-    (folder / "lens.xml").write_text('<scene version="3.0.0">\n' + LENS.replace("5", "x").format("") + "</scene>")
+    write(folder, '<scene version="3.0.0">\n' + LENS.replace("5", "x").format("") + "</scene>", "lens.xml")
     scene_of(folder, '<include filename="lens.xml"/>')
     for file in ("lens.xml", "scene.xml"):
         with refused() as caught:
@@ -355,7 +349,7 @@ def test_messages(tmp_path: Path) -> None:
         assert words in refusal(tmp_path, text), text[:300]
 
 
-def test_numbers_of_dicts(tmp_path: Path) -> None:
+def test_numbers_of_dicts() -> None:
     box = {"type": "interface", "R": 0.0}
     tipped = mi.ScalarTransform4f([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]])
     for part, words in (
@@ -373,12 +367,10 @@ def test_numbers_of_dicts(tmp_path: Path) -> None:
             mistray.load({"type": "scene", "one": part})
 
 
-GOOD = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "1.5"}}
-
-
 def test_dicts() -> None:
+    good = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "1.5"}}
     for shape, words in vectors.toml("refusals.toml")["shapes of dicts"]:
-        given = {key: value for key, value in GOOD.items() if key != "semi_diameter" or "semidiameter" not in shape}
+        given = {key: value for key, value in good.items() if key != "semi_diameter" or "semidiameter" not in shape}
         with refused("", words):
             mistray.load({"type": "scene", "L1": given | shape})
     each_refused(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scene_dicts
 import vectors
+from refusals import refused
 
 import mistray
 
@@ -28,15 +29,11 @@ def rgb(*value: float) -> dict[str, Any]:
     return {"type": "rgb", "value": list(value)}
 
 
-def ball(bsdf: dict[str, Any] | None, **more: Any) -> dict[str, Any]:
-    return {"type": "sphere", "radius": 3.0, "center": [0.0, 0.0, 10.0], **({"bsdf": bsdf} if bsdf else {}), **more}
-
-
 def scene_of(bsdf: dict[str, Any] | None, **beam: Any) -> dict[str, Any]:
     return {
         "type": "scene",
         "beam": {"type": "collimated", "radius": 1.0, **beam},
-        "ball": ball(bsdf),
+        "ball": {"type": "sphere", "radius": 3.0, "center": [0.0, 0.0, 10.0], **({"bsdf": bsdf} if bsdf else {})},
         "detector": scene_dicts.detector(30.0, semi_diameter=40.0),
     }
 
@@ -63,10 +60,7 @@ def reflectance(bsdf: Any, cosines: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("bsdf", "sides"),
     [
-        (
-            {"type": "diffuse"},
-            "[air | air, R = 0, T = 0, Paint[reflectance = 0.5, b0 = 0, l = 0.1, s = -2, side back]]",
-        ),
+        ({"type": "diffuse"}, "| air, R = 0, T = 0, Paint[reflectance = 0.5, b0 = 0, l = 0.1, s = -2, side back]]"),
         ({"type": "diffuse", "reflectance": 0.0}, "[air | air, R = 0, T = 0]"),
         ({"type": "diffuse", "reflectance": rgb(0.25, 0.25, 0.25)}, "reflectance = 0.25,"),
         ({"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.3}}, "reflectance = 0.3,"),
@@ -101,10 +95,8 @@ def test_paints_on_two_sides_also_of_our_own_surfaces() -> None:
     assert (first.reflectance, second.reflectance) == pytest.approx((0.1, 0.5))
     assert (first.side, second.side) == ("back", "front")
     # Light comes to an asphere from its front, and the normal points to its back
-    scene = scene_of({"type": "diffuse"})
-    scene["ball"] = {"type": "asphere", "semi_diameter": 3.0, "bsdf": {"type": "diffuse"}}
-    (model,) = on_ball(scene).scatter
-    assert model.side == "both"
+    scene = scene_of(None) | {"ball": {"type": "asphere", "semi_diameter": 3.0, "bsdf": {"type": "diffuse"}}}
+    assert [model.side for model in on_ball(scene).scatter] == ["both"]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -208,8 +200,7 @@ class TestPlate:
 
     def test_it_is_black_from_behind(self) -> None:
         given = self.scene({"type": "diffuse", "reflectance": 0.6}, turned=0.0)
-        path = mi.load_dict({"type": "path"})
-        assert not np.any(mi.render(mi.load_dict(given), spp=64, integrator=path))
+        assert not np.any(mi.render(mi.load_dict(given), spp=64, integrator=mi.load_dict({"type": "path"})))
         with pytest.warns(mistray.MistrayWarning, match="no light reaches the detector"):
             assert mistray.trace(mistray.load(given), rays=2000).energy.detected_W == 0
         both = self.scene({"type": "twosided", "a": {"type": "diffuse", "reflectance": 0.6}}, turned=0.0)
@@ -217,8 +208,10 @@ class TestPlate:
         assert energy.detected_W / 4 == pytest.approx(self.exact(), rel=0.01, abs=energy.detected_se_W)
 
 
-def test_a_lamp_without_bsdf_is_black() -> None:
+def test_a_lamp_without_bsdf_is_black_and_mitsubas_own_loaders() -> None:
     scene = scene_of({"type": "dielectric"})
+    with refused(r"'dielectric', .*; load the scene by mistray\.load"):
+        mistray.trace(mi.load_dict(scene), rays=10)
     scene["beam"] = {"type": "rectangle", "emitter": {"type": "area", "radiance": 1.0}}
     lamp = {shape.id(): shape for shape in mistray.load(scene).shapes()}["beam"]
     assert str(lamp.bsdf()) == "Interface[air | air, R = 0, T = 0]"
@@ -262,11 +255,6 @@ def test_others_are_refused_by_name(words: str) -> None:
             mistray.trace(scene, rays=10)
 
 
-def test_mitsubas_own_loaders_leave_them() -> None:
-    with pytest.raises(mistray.MistrayError, match=r"'dielectric', .*; load the scene by mistray\.load"):
-        mistray.trace(mi.load_dict(scene_of({"type": "dielectric"})), rays=10)
-
-
 @pytest.mark.parametrize(
     ("bsdf", "words"),
     [
@@ -279,10 +267,8 @@ def test_mitsubas_own_loaders_leave_them() -> None:
     ],
 )
 def test_mistakes_are_named(bsdf: dict[str, Any], words: str) -> None:
-    with pytest.raises(mistray.MistrayError, match=words) as info:
+    with refused(words, f"{bsdf['type']} of sphere 'ball'"):
         mistray.load(scene_of(bsdf))
-    assert f"{bsdf['type']} of sphere 'ball'" in str(info.value)
-    assert "\n" not in str(info.value)
 
 
 MATERIALS = vectors.text("mitsuba_materials.xml")
@@ -300,10 +286,8 @@ def test_a_scene_as_users_of_mitsuba_write_it(tmp_path: Path) -> None:
     assert abs(t.energy.closure) < 1e-6
     assert {path.events for path in t.paths[:2]} == {"board:A", "ball:T ball:T board:A"}
     params = mi.traverse(scene)
-    assert params["black.paint.reflectance"][0] == pytest.approx(0.05)
-    assert params["glass.n_front_shift"][0] == 0
+    assert (params["black.paint.reflectance"][0], params["glass.n_front_shift"][0]) == (pytest.approx(0.05), 0)
     materials = MATERIALS.partition("\n")[2].removesuffix("</scene>\n")
     older = ROOM.replace("3.0.0", "0.6.0").replace("max_depth", "maxDepth")  # its parameters are in camel case
     (tmp_path / "scene.xml").write_text(older.replace('<include filename="materials.xml"/>', materials))
-    again = mistray.trace(mistray.load(tmp_path / "scene.xml"), rays=5000)
-    assert again.energy.detected_W == t.energy.detected_W
+    assert mistray.trace(mistray.load(tmp_path / "scene.xml"), rays=5000).energy.detected_W == t.energy.detected_W

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import vectors
+from oracles.small_scenes import write
 from refusals import each_refused, refused
 
 from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
@@ -39,6 +40,10 @@ def shape(*parts: str, name: str = "front", bsdf: str = GLASS, kind: str = "asph
     return f'<shape type="{kind}" id="{name}"><float name="semi_diameter" value="5"/>{"".join(parts)}{bsdf}</shape>'
 
 
+def scene_file(folder: Path, body: str, name: str = "scene.xml") -> Path:
+    return write(folder, f'<scene version="3.0.0">{body}</scene>', name)
+
+
 def number(name: str, value: float | str) -> str:
     return f'<float name="{name}" value="{value}"/>'
 
@@ -54,8 +59,7 @@ def test_surfaces_of_a_shipped_scene_are_those_of_its_prescription(name, build):
     assert {shape.name for shape in expected.structures} == set(left_out)
     for key in ("radius", "z_front", "z_rear") if expected.stop is not None else ():
         assert getattr(found.stop, key) == getattr(expected.stop, key)
-    assert found.source.radius == expected.source.radius
-    assert found.source.wavelength_nm == expected.source.wavelength_nm
+    assert (found.source.radius, found.source.wavelength_nm) == (expected.source.radius, expected.source.wavelength_nm)
 
 
 def test_what_a_scene_may_say_and_its_coatings(read, tmp_path):
@@ -76,14 +80,12 @@ def test_what_a_scene_may_say_and_its_coatings(read, tmp_path):
     steps = (1, 2, 3, 0, 0, 30), (0, 0, 0, -20, 0, 0), (0.5, 0, 0, 0, 5, 0)
     expected = np.linalg.multi_dot([moved(np.eye(4), *step) for step in steps])
     np.testing.assert_allclose(front.to_world(), expected, atol=1e-12)
-    assert (rear.radius, rear.coating) == (-50.0, Coating(preset="bbar3", name="AR"))
-    assert left_out == ("board", "wall")
+    assert (rear.radius, rear.coating, left_out) == (-50.0, Coating(preset="bbar3", name="AR"), ("board", "wall"))
     assert prescription.stop == Stop(3.0, 9.0, 9.0, 8.0, 8.0)
     detector, source = prescription.detector, prescription.source
     assert (detector.half_width, detector.half_height, detector.z) == (2.0, 1.0, 60.0)
     assert (source.radius, source.field_deg) == (4.0, 10.0)
-    assert (source.wavelength_nm, source.weights) == ((486.1, 656.3), (1.0, 3.0))
-    assert prescription.name == "camera"
+    assert (source.wavelength_nm, source.weights, prescription.name) == ((486.1, 656.3), (1.0, 3.0), "camera")
     melt = GLASS.replace("/></bsdf>", f"/>{number('n_back_shift', 5e-4)}</bsdf>")
     assert read(shape(bsdf=melt))[0].surfaces[0].back == "N-BK7 shift=0.0005"
     polish = f'/><bsdf type="harvey_shack">{number("rms_nm", 4)}</bsdf></bsdf>'
@@ -147,15 +149,12 @@ def test_a_file_in_several_folders_is_that_of_mitsuba(tmp_path, text, files):
     """The first one of each list; the others are searched later, as `mi.load_file` 3.9.1 does."""
     include = '<include filename="x.xml"/>'
     for name in files:
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(f'<scene version="3.0.0">{shape(name=name.replace("/", "_")[:-4])}</scene>')
-    (tmp_path / "in").mkdir(exist_ok=True)
-    (tmp_path / "in" / "y.xml").write_text(f'<scene version="3.0.0"><path value="a"/>{include}</scene>')
-    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{text.format(include)}</scene>')
+        scene_file(tmp_path, shape(name=name.replace("/", "_")[:-4]), name)
+    scene_file(tmp_path, f'<path value="a"/>{include}', "in/y.xml")
+    scene_file(tmp_path, text.format(include))
     found, _ = read_optics(tmp_path / "scene.xml")
     assert [surface.name for surface in found.surfaces] == [files[0].replace("/", "_")[:-4]]
-    wrong = (tmp_path / files[0]).read_text().replace('value="5"', 'value="five"')
-    (tmp_path / files[0]).write_text(wrong)
+    (tmp_path / files[0]).write_text((tmp_path / files[0]).read_text().replace('value="5"', 'value="five"'))
     with refused("semi_diameter is 'five'"):
         check_source(tmp_path / "scene.xml")
 
@@ -191,9 +190,7 @@ def test_light_and_stop_are_those_of_the_trace(read, tmp_path):
 )
 def test_of_other_sources_the_wavelengths_are_read(tmp_path, kind, light, nm):
     values = "".join(f'<string name="{key}" value="{value}"/>' for key, value in light.items())
-    scene = tmp_path / "scene.xml"
-    scene.write_text(f'<scene version="3.0.0"><emitter type="{kind}">{values}</emitter>{shape()}</scene>')
-    prescription, _ = read_optics(scene)
+    prescription, _ = read_optics(scene_file(tmp_path, f'<emitter type="{kind}">{values}</emitter>{shape()}'))
     assert prescription.source.light.wavelengths_nm == pytest.approx(nm, abs=0.1)
     assert prescription.provenance == f"the source, '{kind}', is left out but for its wavelengths"
 
@@ -203,9 +200,7 @@ def test_surfaces_with_a_thinfilm_alone_and_in_an_included_scene(read, tmp_path)
     metal = '<bsdf type="thinfilm">{}<string name="layers" value="Al 100"/><string name="back" value="N-BK7"/></bsdf>'
     opaque = metal.format('<boolean name="opaque" value="True"/>')
     nested = f'<bsdf type="interface">{opaque.replace("back", "first").replace("N-BK7", "front")}</bsdf>'
-    (tmp_path / "parts").mkdir()
-    blind = shape(name="blind", bsdf=opaque)
-    (tmp_path / "parts" / "wall.xml").write_text(f'<scene version="3.0.0">{blind}</scene>')
+    scene_file(tmp_path, shape(name="blind", bsdf=opaque), "parts/wall.xml")
     lens = shape(number("radius", "$R"), name="L1")
     inner = f'<scene version="3.0.0"><default name="R" value="7"/>{{}}{lens}</scene>'
     (tmp_path / "parts" / "lens.xml").write_text(inner.format('<include filename="wall.xml"/>'))
@@ -213,8 +208,7 @@ def test_surfaces_with_a_thinfilm_alone_and_in_an_included_scene(read, tmp_path)
     prescription, left_out = read(include, shape(name="L2", bsdf=metal.format("")), shape(name="B", bsdf=nested))
     assert [surface.name for surface in prescription.surfaces] == ["L1", "L2"]
     assert prescription.surfaces[0].radius == 50.0  # the first default of a name holds, that of the scene
-    assert prescription.surfaces[1].coating == Coating(layers="Al 100")
-    assert prescription.surfaces[1].back == "N-BK7"
+    assert (prescription.surfaces[1].coating, prescription.surfaces[1].back) == (Coating(layers="Al 100"), "N-BK7")
     assert left_out == ("blind", "B")
     with refused(r"there is no file 'none\.xml' for its <include>; correct the name"):
         read('<include filename="none.xml"/>')
@@ -229,9 +223,8 @@ def test_order_waves_and_mirrors_of_a_thinfilm(read):
     film = f'<bsdf type="thinfilm">{values}{number("design_nm", 940)}<boolean name="opaque" value="true"/></bsdf>'
     mirror = f'<bsdf type="interface"><boolean name="mirror" value="true"/>{film}</bsdf>'
     (surface,) = read(shape(bsdf=mirror))[0].surfaces
-    assert surface.coating == Coating(
-        layers="1.6 0.5w, Al 100", first="back", design_nm=940.0, n_shift=(0.01, 0.0), mirror=True
-    )
+    waves = {"layers": "1.6 0.5w, Al 100", "design_nm": 940.0, "n_shift": (0.01, 0.0)}
+    assert surface.coating == Coating(**waves, first="back", mirror=True)
 
 
 def test_errors_name_file_and_shape(read):
@@ -250,12 +243,8 @@ def test_errors_name_file_and_shape(read):
 def named(tmp_path: Path, body: str, *files: str) -> list[str]:
     """Files of a scene with this body, relative to its folder; `files` exist."""
     for name in files:
-        path = tmp_path / "scene" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("<scene version='3.0.0'/>")
-    scene = tmp_path / "scene" / "scene.xml"
-    scene.parent.mkdir(exist_ok=True)
-    scene.write_text(f"<scene version='3.0.0'>{body}</scene>", encoding="utf-8")
+        scene_file(tmp_path / "scene", "", name)
+    scene = scene_file(tmp_path / "scene", body)
     first, *others = scene_files(scene)
     assert first == scene.resolve()
     return [path.relative_to(scene.parent.resolve()).as_posix() for path in others]
@@ -285,22 +274,18 @@ def test_includes_paths_and_parameters_of_all_scenes(tmp_path: Path) -> None:
               <string name="a" value="$where/one.csv"/><string name="b" value="$where_else/two.csv"/>
               <string name="c" value="three.csv"/>"""
     files = ["data/one.csv", "more/two.csv", "found/three.csv", "inner/part.xml", "inner/four.csv", "inner/five.xml"]
-    (tmp_path / "scene" / "inner").mkdir(parents=True)
     named(tmp_path, "", *files)
     inner = "<scene version='3.0.0'><string name='d' value='four.csv'/><include filename='inner/five.xml'/></scene>"
     (tmp_path / "scene" / "inner" / "part.xml").write_text(inner)
     assert sorted(named(tmp_path, body)) == sorted(files)
-    elsewhere = tmp_path / "elsewhere.csv"
-    elsewhere.write_text("1")
-    scene = tmp_path / "scene" / "scene.xml"
-    scene.write_text(f"<scene version='3.0.0'><string name='a' value='{elsewhere}:entry'/></scene>")
+    elsewhere = write(tmp_path, "1", "elsewhere.csv")
+    scene = scene_file(tmp_path / "scene", f"<string name='a' value='{elsewhere}:entry'/>")
     assert scene_files(scene)[1:] == [elsewhere.resolve()]
     # As in Mitsuba: in a scene that is included, behind it, and the first of a name wins; also all round
     again = tmp_path / "again"
-    (again / "scene").mkdir(parents=True)
     part = """<scene version='3.0.0'><default name='where' value='other'/><default name='more' value='$where'/>
               <string name='a' value='$where/one.csv'/></scene>"""
-    (again / "scene" / "part.xml").write_text(part.replace("</scene>", "<include filename='scene.xml'/></scene>"))
+    write(again, part.replace("</scene>", "<include filename='scene.xml'/></scene>"), "scene/part.xml")
     body = """<default name="where" value="data"/><include filename="part.xml"/>
               <string name="b" value="$more/two.csv"/>"""
     found = named(again, body, "data/one.csv", "other/one.csv", "data/two.csv", "other/two.csv")
@@ -312,5 +297,4 @@ def test_shipped_scenes() -> None:
     for name, path in shipped_scenes().items():
         found = scene_files(path)
         assert found[0] == path.resolve(), name
-        meshes = {file for file in path.parent.iterdir() if file.suffix in (".ply", ".obj")}
-        assert meshes <= set(found), name
+        assert {file for file in path.parent.iterdir() if file.suffix in (".ply", ".obj")} <= set(found), name

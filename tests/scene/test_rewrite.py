@@ -54,8 +54,7 @@ def test_what_is_not_given_stays_and_comes_back(tmp_path: Path) -> None:
     some["L1_front.bsdf.n_back_shift"] = np.float32([1e-4])
     path = write_rewritten(TRIPLET, some, tmp_path / "some.xml")
     assert_loads(path, before | some)
-    back = write_rewritten(path, {key: before[key] for key in some}, tmp_path / "back.xml")
-    assert_loads(back, before)
+    assert_loads(write_rewritten(path, {key: before[key] for key in some}, tmp_path / "back.xml"), before)
 
 
 SCENE = vectors.text("rewrite.xml")
@@ -136,8 +135,7 @@ class TestText:
         assert 'value="COATING.DAT:MYFILM 88"' in path.read_text("utf-8")
         assert '<path value=".."/>' in path.read_text("utf-8")
         coating = {s.id(): s.bsdf().coating for s in mistray.load(path).shapes()}["a"]
-        assert coating.layers[0].thickness_nm == 88.0
-        assert coating.indices(550.0)[0].real == pytest.approx(1.39, abs=1e-6)
+        assert (coating.layers[0].thickness_nm, coating.indices(550.0)[0].real) == (88.0, pytest.approx(1.39, abs=1e-6))
 
 
 def test_what_cannot_be_placed(tmp_path: Path) -> None:
@@ -190,18 +188,15 @@ def source(tmp_path: Path) -> Path:
 
 
 def with_own(file: SceneText, folder: Path) -> mi.SceneParameters:
-    path = folder / "own.xml"
-    path.write_text(file.text(folder), encoding="utf-8")
-    return mi.traverse(mistray.load(path))
+    return mi.traverse(mistray.load(write(folder, file.text(folder), "own.xml")))
 
 
 def test_every_surface_has_its_own(source: Path) -> None:
     assert "polish.rms_nm" in mi.traverse(mistray.load(source))
     after = with_own(SceneText(source), source.parent)
-    keys = {f"{side}.bsdf.{rest}" for side in ("front", "rear") for rest in ("harvey_shack.rms_nm",
-            "particulate.coverage_percent")}  # fmt: skip
-    keys |= {"tube.bsdf.paint.reflectance", "cone.bsdf.reflectance"}
-    assert keys <= set(after.keys())
+    own = ("harvey_shack.rms_nm", "particulate.coverage_percent")
+    keys = {f"{side}.bsdf.{rest}" for side in ("front", "rear") for rest in own}
+    assert keys | {"tube.bsdf.paint.reflectance", "cone.bsdf.reflectance"} <= set(after.keys())
     assert not [key for key in after.keys() if key.startswith(("polish.", "dust.", "black."))]  # noqa: SIM118
     assert "AR.thickness_nm" in after  # a coating stays shared
 
@@ -230,8 +225,8 @@ def test_new_values(source: Path) -> None:
 def test_what_cannot_be_done(source: Path, tmp_path: Path) -> None:
     with refused(r"the model of 'side\.bsdf\.paint\.reflectance' does not stand in the file"):
         SceneText(source).set("side.bsdf.paint.reflectance", 0.1)
-    (tmp_path / "broken.xml").write_text("<scene")
-    each_refused((tmp_path / "nothing.xml", "No such file"), (tmp_path / "broken.xml", "broken XML"), by=SceneText)
+    broken = write(tmp_path, "<scene", "broken.xml")
+    each_refused((tmp_path / "nothing.xml", "No such file"), (broken, "broken XML"), by=SceneText)
 
 
 def scene(*models: dict[str, Any]) -> dict[str, Any]:
@@ -286,6 +281,5 @@ def test_the_command_line_shows_it(tmp_path: Path) -> None:
     file = write(tmp_path, scene_text(shape_xml("asphere", "wall", 9.0, wall, sensor=True, semi_diameter=1.0)))
     command = [sys.executable, "-m", "mistray", "view", str(file), "--out", str(tmp_path / "view")]
     err = subprocess.run(command, capture_output=True, text=True, timeout=120).stderr
-    lines = [line for line in err.splitlines() if "warning" in line]
-    assert len(lines) == 1
-    assert lines[0].startswith("mistray: warning: surface 'wall': ABg")
+    (line,) = [line for line in err.splitlines() if "warning" in line]
+    assert line.startswith("mistray: warning: surface 'wall': ABg")
