@@ -7,6 +7,7 @@ the worker and not the tests.
 
 import argparse
 import contextlib
+import importlib
 import io
 import json
 import math
@@ -157,9 +158,7 @@ def read_coatings(path: Path) -> None:
 
 
 def read_lamp(path: Path) -> None:
-    from mistray.files.intensities import read_intensities
-
-    read_intensities(path)
+    importlib.import_module("mistray.files.intensities").read_intensities(path)
 
 
 JOBS: dict[str, Callable[[Path], None]] = {"load": load_scene, "coatings": read_coatings, "lamp": read_lamp}
