@@ -9,7 +9,7 @@ import warnings
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import html_pages
 import numpy as np
@@ -114,9 +114,7 @@ def test_coatings_of_a_real_scene_under_the_light_of_a_fake_trace() -> None:
 
 
 def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any) -> None:
-        raise RuntimeError("out of paper")
-
+    fail = Mock(side_effect=RuntimeError("out of paper"))
     monkeypatch.setattr(html, "html_text", fail)
     with pytest.raises(RuntimeError, match="out of paper"):
         write_html(report, tmp_path / "report.html")

@@ -50,16 +50,12 @@ def returned() -> dict[str, type]:
         for name in module.__all__:
             function = getattr(module, name)
             if inspect.isfunction(function):
-                kind = stubs_type(function)
+                said = inspect.signature(function).return_annotation
+                names = vars(importlib.import_module(function.__module__))
+                kind = names.get(said) if isinstance(said, str) else said
                 if isinstance(kind, type) and kind.__module__.startswith(COMPUTED):
                     found[kind.__name__] = kind
     return found
-
-
-def stubs_type(function: Any) -> Any:
-    """The class that the return annotation of a function names, where it is one."""
-    said = inspect.signature(function).return_annotation
-    return vars(importlib.import_module(function.__module__)).get(said) if isinstance(said, str) else said
 
 
 def every_result() -> list[type[Result]]:
