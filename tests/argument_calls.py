@@ -12,6 +12,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from result_calls import X, line
 
 import mistray
 from mistray import analysis, coatings, mechanics, optimize, physics, prescription, recorders, report, sweeps
@@ -26,7 +27,6 @@ from mistray.scenes.cooke_triplet import prescription as triplet
 Call = Callable[[Any], Any]
 ANGLES = [5.0, 10.0]
 SEQ = "RDM\nLEN\nEPD 8\nDIM M\nWL 588\nYAN 0\nSO 0 1E20\nS 50 5 NBK7_SCHOTT\nSTO\nS -50 46\nSI 0 0\nGO\n"
-X = np.arange(3.0)
 scene = cache(lambda: mistray.load("plate"))
 known = cache(lambda: optimize.parameters(scene()))
 trace = cache(lambda: mistray.trace(scene(), rays=256))
@@ -44,10 +44,6 @@ bands = cache(lambda: optimize.PstBands(walled(), "polish.A", [10, 20], rays=500
 part = cache(lambda: mechanics.read_mechanics(Path(__file__).parent / "data" / "triangle.ply"))
 explorer = cache(lambda: mistray.Explorer("plate", rays=64))
 pst_sweep = cache(lambda: sweeps.sweep_pst(scene(), {"nearer": {"plate_front.z": -0.1}}, ANGLES, rays=300))
-
-
-def line(values: np.ndarray) -> optimize.Modelled:
-    return optimize.Modelled(values[0] * X, np.zeros((3, 3)), X[:, None])
 
 
 fitted = cache(lambda: optimize.fit(line, X, 0.1 * np.ones(3), {"a": 0.5}))
@@ -150,12 +146,9 @@ def of(owner: Callable[[], Any], kind: str, names: str, /, seen: Call = made, **
     calls: dict[str, Call] = {}
     for name in names.split():
         method, _, argument = name[:-1].partition("(")
-        calls[f"{kind}.{name}"] = partial(_of_owner, owner, method, argument, given, seen)
+        bound = partial(lambda method, /, **words: getattr(owner(), method)(**words), method)
+        calls[f"{kind}.{name}"] = partial(called, bound, argument, given, seen)
     return calls
-
-
-def _of_owner(owner: Callable[[], Any], method: str, *rest: Any) -> Any:
-    return called(getattr(owner(), method), *rest)
 
 
 def one(value: Any, *calls: dict[str, Call]) -> dict[str, tuple[Call, Any]]:

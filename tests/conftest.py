@@ -89,13 +89,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Results of earlier sessions and of the user are not looked at; commands that tests start inherit this."""
-    before = os.environ.get("MISTRAY_CACHE")
-    os.environ["MISTRAY_CACHE"] = str(tmp_path_factory.mktemp("cache"))
-    yield
-    if before is None:
-        del os.environ["MISTRAY_CACHE"]
-    else:
-        os.environ["MISTRAY_CACHE"] = before
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MISTRAY_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture(autouse=True)

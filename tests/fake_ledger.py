@@ -59,13 +59,12 @@ def fake_run(
     paths: DecodedPaths,
     unit: float = 1.0,
     rays: int = 32_000,
-    name: str = "source",
     wavelength_nm: float = 550.0,
     design: Sequence[str] = (),
 ) -> SimpleNamespace:
     """What the path table reads of a run; `surfaces` are bits by names, `design` the sequences of the direct image."""
     return SimpleNamespace(
-        source=SimpleNamespace(name=name, wavelength_nm=wavelength_nm),
+        source=SimpleNamespace(name="source", wavelength_nm=wavelength_nm),
         table=SimpleNamespace(
             event_ids=list(surfaces),
             event_parts=[name.split("_")[0].strip("()") for name in surfaces],

@@ -16,19 +16,20 @@ from oracles import small_scenes
 from oracles.frozen_paths import Bundle, FrozenPaths, Hits, power, rms_radius
 from oracles.frozen_scene import FrozenScene, read_frozen
 from oracles.geometry import Array, Frustum
+from oracles.scatter_scenes import with_scatter
 
 import mistray
 from mistray import Metric, Trace
 from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 
 
-def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
+def recorded_bundles(trace: Trace) -> list[Bundle]:
     """Every branch of one source and wavelength that ends on the detector, by path, as the kernel wrote it down.
 
     Positions found again in float64, as `Trace.history` has them, would share code with the program under test.
     """
-    of = trace.runs[run]
-    count = int(trace.paths.column("rays")[trace.paths.located()[run].ids].sum())
+    of = trace.runs[0]
+    count = int(trace.paths.column("rays")[trace.paths.located()[0].ids].sum())
     recorder = of.record(None, count)
     assert int(recorder.count[0]) == count, "the rays that were recorded are not those of the ledger"
     lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)[:count]
@@ -69,11 +70,7 @@ def scene_text(name: str) -> str:
 
 def coated_text(text: str, *shape_ids: str) -> str:
     """A scene's XML with three layers on some bare surfaces."""
-    root = ElementTree.fromstring(text)
-    for shape in root.iter("shape"):
-        if shape.attrib["id"] in shape_ids:
-            shape.find("bsdf").append(ElementTree.fromstring(LAYERS))
-    return ElementTree.tostring(root, encoding="unicode")
+    return with_scatter(text, dict.fromkeys(shape_ids, (LAYERS,)))
 
 
 def with_values(text: str, shape_id: str, **values: float) -> str:
@@ -90,9 +87,7 @@ def with_values(text: str, shape_id: str, **values: float) -> str:
 
 
 def with_shape(text: str, shape: str) -> str:
-    root = ElementTree.fromstring(text)
-    root.append(ElementTree.fromstring(shape))
-    return ElementTree.tostring(root, encoding="unicode")
+    return text.replace("</scene>", f"{shape}</scene>")
 
 
 @dataclass
@@ -128,17 +123,12 @@ class Case:
             scene = scene.moved(key, float(np.float32(value)))
         return FrozenPaths(scene, recorded_bundles(self.trace))
 
-    @property
-    def frozen(self) -> FrozenScene:
-        return self.paths.scene
+    frozen = property(lambda self: self.paths.scene)
+    launched_W = property(lambda self: self.trace.energy.launched_W)
 
     @cached_property
     def met(self) -> list[str]:
         return list(dict.fromkeys(name for bundle in self.paths.bundles for name, _ in bundle.events))
-
-    @property
-    def launched_W(self) -> float:
-        return self.trace.energy.launched_W
 
     def metric(self, function: Callable[[Any], Any]) -> Metric:
         """Metric of one observation with the settings of the trace."""

@@ -19,54 +19,14 @@ BRACKET_PLY = (
     "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
     "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
 )
-BENT = {"z": 5.0, "curvature": 0.01}
-SQUARE = {"clip_1": "+rectangle", "clip_1_half_width": 4.0, "clip_1_half_height": 4.0}
-TRIANGLE = {"clip_1": "+polygon", "clip_1_x1": -4.0, "clip_1_y1": -4.0, "clip_1_x2": 4.0, "clip_1_y2": -3.0,
-            "clip_1_x3": 1.0, "clip_1_y3": 4.0}  # fmt: skip
 DATA = vectors.toml("fuzz_scenes.toml")
 NUMBERS: dict[str, dict[str, Any]] = DATA["numbers"]  # of plugins, as ordinary as can be
 # Plugin and parameter → what stands there instead of the above, where the two do not go together
-CURVED = BENT | SQUARE
 INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
-    **{
-        (plugin, f"half_{one}"): others | {f"half_{other}": 4.0 if plugin == "freeform" else 2.0}
-        for plugin, others in {
-            "asphere": {},
-            "freeform": BENT,
-            "collimated": {},
-            "surface_source": {"z": -50.0},
-        }.items()
-        for one, other in (("width", "height"), ("height", "width"))
-    },
-    **{
-        ("freeform", name): {"z": 5.0, **SQUARE}
-        for name in ("radius", "radius_x", "curvature_x", "toroid_curvature", "toroid_radius")
-    },
-    **{
-        ("freeform", one): CURVED | {other: value}
-        for one, other, value in (
-            ("conic_x", "curvature_x", -0.01),
-            *((name, f"{name[:-2]}_radius", 4.0) for name in ("zernike_5", "fringe_5")),
-            *((f"{name[:-2]}_radius", name, 0.01) for name in ("zernike_5", "fringe_5")),
-            *((name, "q_radius", 4.0) for name in ("qbfs_5", "qcon_5")),
-            ("q_radius", "qcon_5", 0.01),
-        )
-    },
-    ("freeform", "chebyshev_5_5"): CURVED | {"chebyshev_x": 5.0, "chebyshev_y": 5.0},
-    ("freeform", "chebyshev_x"): CURVED | {"chebyshev_5_5": 0.01, "chebyshev_y": 5.0},
-    ("freeform", "chebyshev_y"): CURVED | {"chebyshev_5_5": 0.01, "chebyshev_x": 5.0},
-    ("freeform", "semi_diameter"): BENT,
-    ("freeform", "inner_semi_diameter"): BENT | {"semi_diameter": 4.0},
-    ("freeform", "clip_1_radius"): BENT | {"clip_1": "+circle"},
-    ("freeform", "clip_1_x1"): BENT | TRIANGLE,
-    ("freeform", "clip_1_y1"): BENT | TRIANGLE,
-    ("harvey_shack", "rms_nm"): {"l": 0.01, "s": -1.5},
-    ("k_correlation", "reference_nm"): NUMBERS["k_correlation"] | {"band_limited": True},
-    ("particulate", "coverage_percent"): {},
-    ("target", "cone_deg"): {"surfaces": "*", "about": "specular"},
-    ("thinfilm", "R"): {"T": 0.1},
-    ("thinfilm", "T"): {"R": 0.1},
-    ("interface", "T"): NUMBERS["interface"] | {"R": 0.1},
+    (plugin, name): (NUMBERS[plugin] if how == "added" else {}) | numbers
+    for how in ("added", "instead")
+    for plugin, names, numbers in DATA["beside"][how]
+    for name in names.split()
 }
 LAMP_CSV = "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n0,0,-5,0,0,1,1\n0.5,0,-5,0,0.01,1,1\n"
 SOURCES, SENSORS = ({one.plugin for one in MANUALS if one.file.parent.name == kind} for kind in ("emitters", "sensors"))
@@ -162,66 +122,13 @@ MORE = {
 }
 
 
-def bsdf_line(kind: str, *without: str, **numbers: Any) -> tuple[str, ...]:
-    """A model on the command line with its numbers, or with others, less those that are tried."""
-    given = numbers or {key: value for key, value in NUMBERS[kind].items() if key not in without}
-    return (kind, *(word for key, value in given.items() for word in (f"--{key.replace('_', '-')}", f"{value}")))
-
-
-HIT = LINES["bsdf"][:-1]
-MODELS = {
-    **{
-        f"--{key.replace('_', '-')}": bsdf_line(kind, key)
-        for kind, keys in {
-            "phong": "b0 exponent", "harvey_shack": "l s", "k_correlation": "B_um slope", "abg": "A B g",
-            "edge_diffraction": "width_mm", "particulate": "level", "gaussian_lobe": "total width",
-        }.items()
-        for key in keys.split()
-    },
-    "--rms-nm": bsdf_line("abg", correlation_um=100),
-    "--correlation-um": bsdf_line("abg", rms_nm=1),
-    "--delta-n": bsdf_line("abg", rms_nm=1, correlation_um=100),
-    "--raw-integral": bsdf_line("abg", rms_nm=1, correlation_um=100),
-    "--coverage-percent": ("particulate",),
-    **{f"--{name}": bsdf_line("particulate") for name in ("particle", "min-um", "max-um")},
-    "--reflectance": bsdf_line("paint", "reflectance"),
-    "--n": bsdf_line("paint"),
-    "--coefficients": ("polynomial",),
-    "--d": ("polynomial", "--coefficients", "c000=-0.5,c100=-0.4,l10=-0.7"),
-    "--scale": bsdf_line("psd_table"),
-    "--hit-deg": (*HIT, "--hit-sr", "1e-6"),
-    "--hit-sr": (*HIT, "--hit-deg", "30"),
-    "--hit-before": (*HIT, "--hit-deg", "30", "--hit-sr", "1e-6"),
-}  # fmt: skip
-WRITTEN = ("--out", "out", "--force")
+# Command and option → what stands beside the option instead of the line of the command
 ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
-    **{("bsdf", option): (*line, "--json") for option, line in MODELS.items()},
-    **{
-        ("import", option): ("tube.step", "-o", "made.xml", "--force")
-        for option in ("--move-mm", "--tilt-deg", "--most-analytic", "--tolerance-mm", "--time-limit-s", "--space")
-    },
-    **{
-        (name, "--weights"): (*LINES[name], "--wavelength-nm", "550")
-        for name in ("ghosts", "image", "view", "pst", "study", "sensitivity")
-    },
-    ("image", "--field-mm"): ("near.xml", *LINES["image"][1:]),
-    ("ghosts", "--least-share"): (*LINES["ghosts"], "--path-analysis", "power_W"),
-    **{
-        ("ghosts", option): (*LINES["ghosts"], "--colour", *WRITTEN, "--wavelength-nm", "450", "550", "650")
-        for option in ("--stops", "--block")
-    },
-    ("objects", "--azimuth-deg"): (*LINES["objects"], "--field-deg", "10"),
-    ("pst", "--up-to-deg"): (*LINES["pst"], "--relative-error", "0.5"),
-    ("pst", "--azimuth-cell-deg"): (*LINES["pst"], "--azimuths-deg", "0", "90"),
-    ("pst", "--map-field-deg"): (*LINES["pst"], *WRITTEN),
-    **{
-        ("pst", f"--map-{what}"): (*LINES["pst"], *WRITTEN, "--map-field-deg", "20")
-        for what in ("azimuth-deg", "pixels")
-    },
-    ("sensitivity", "--band-deg"): (*LINES["sensitivity"], "--metric", "pst_band"),
-    ("sensitivity", "--patch-deg"): (*LINES["sensitivity"], "--metric", "veiling_glare"),
+    (command, option): tuple(line.replace("{line}", DATA["lines"][command]).split())
+    for commands, options, line in DATA["beside"]["lines"]
+    for command in commands.split()
+    for option in options.split()
 }
-
 TRACED = ("ghosts", "try.xml", "--json", "--rays", "200")
 
 

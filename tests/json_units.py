@@ -22,22 +22,15 @@ def listed(heading: str) -> list[str]:
     return re.findall(r"`([^`]+)`", section[1])
 
 
-def is_pure(name: str, pure: list[str]) -> bool:
-    """Whether a name is among those of numbers without a unit, in full, by its end or by its beginning."""
-    return any(
-        name.endswith(word) if word.startswith("_") else name.startswith(word) if word.endswith("_") else name == word
-        for word in pure
-    )
-
-
 def says_unit(path: list[str], endings: list[str], pure: list[str]) -> bool:
-    """Whether the keys that lead to a number tell its unit, or that it has none."""
+    """Whether the keys that lead to a number tell its unit, or that it has none: in full, by its end or beginning."""
     names = [re.sub(r"_se(?=_|$)", "", key) for key in path]
     own = names[-2] if names[-1] in ("value", "se") and len(names) > 1 else names[-1]
     return (
         any(name == end[1:] or name.endswith(end) for name in names for end in endings)
         or any(f"{name}." in pure for name in names)
-        or is_pure(own, pure)
+        or own in pure
+        or any(own.endswith(word) if word[0] == "_" else word[-1] == "_" and own.startswith(word) for word in pure)
     )
 
 

@@ -7,6 +7,7 @@ the worker and not the tests.
 
 import argparse
 import contextlib
+import importlib
 import io
 import json
 import math
@@ -112,12 +113,10 @@ def tries(lines: Mapping[str, Iterable[str]], about: Mapping[tuple[str, str], It
 
 def nothing(value: Any, path: str = "") -> Iterator[str]:
     """Places of a JSON document where null or something not finite stands; indices are left out."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            yield from nothing(item, f"{path}.{key}")
-    elif isinstance(value, list):
-        for item in value:
-            yield from nothing(item, f"{path}[]")
+    if isinstance(value, dict | list):
+        ends = [f".{key}" for key in value] if isinstance(value, dict) else ["[]"] * len(value)
+        for end, item in zip(ends, value.values() if isinstance(value, dict) else value, strict=True):
+            yield from nothing(item, path + end)
     elif value is None or (isinstance(value, float) and not math.isfinite(value)):
         yield path
 
@@ -157,9 +156,7 @@ def read_coatings(path: Path) -> None:
 
 
 def read_lamp(path: Path) -> None:
-    from mistray.files.intensities import read_intensities
-
-    read_intensities(path)
+    importlib.import_module("mistray.files.intensities").read_intensities(path)
 
 
 JOBS: dict[str, Callable[[Path], None]] = {"load": load_scene, "coatings": read_coatings, "lamp": read_lamp}

@@ -15,6 +15,7 @@ from mistray import Metric, analysis, optimize, report, sweeps
 from mistray.execute.pickles import Missing
 from mistray.execute.tracer import Run
 from mistray.gradients.pst_gradient import PstRays
+from mistray.result import Result
 from mistray.scatter.abg import ABg
 from mistray.scatter.k_correlation import KCorrelation
 from mistray.surfaces.surfaces import SurfaceTable
@@ -76,6 +77,13 @@ LONG = {
     *("mistray.analysis.first_level", "mistray.analysis.study", "mistray.optimize.budget", "mistray.optimize.optimize"),
     *("mistray.report.view", "mistray.sweeps.rank_edits", "mistray.sweeps.sweep_pst"),
 }
+
+
+def result_classes(of: type[Result] = Result) -> Iterator[type[Result]]:
+    """All classes of results of the modules that are imported."""
+    for kind in of.__subclasses__():
+        yield from ([kind] if kind.__module__.startswith("mistray.") else [])
+        yield from result_classes(kind)
 
 
 def data(value: Any, place: str = "", within: tuple[int, ...] = ()) -> Iterator[tuple[str, Any]]:

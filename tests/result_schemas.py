@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from mistray.files.units import unit_of
+
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "mistray" / "toolkit" / "result_schemas"
 sys.path.insert(0, str(ROOT / "benchmarks"))
@@ -62,7 +64,7 @@ class Seen:
         """Return the JSON schema of the values."""
         kinds = sorted(self.kinds | ({"null"} if self.kinds & {"number", "string"} else set()))
         found: dict[str, Any] = {"type": kinds[0] if len(kinds) == 1 else kinds} if kinds else {}
-        unit = unit_of_json(self.name)
+        unit = unit_of(re.sub(r"_se(?=_|$)", "", self.name))[1]  # without the part that says that it is an error
         if unit and "number" in self.kinds:
             found["unit"] = unit
         if "object" in self.kinds:
@@ -95,13 +97,6 @@ class Seen:
         if other.items is not None:
             self.items = self.items or Seen(self.name)
             self.items.merge(other.items)
-
-
-def unit_of_json(name: str) -> str:
-    """The unit of a number by its name, without the part that says that it is a standard error."""
-    from mistray.files.units import unit_of
-
-    return unit_of(re.sub(r"_se(?=_|$)", "", name))[1]
 
 
 def descriptions(keys: Any) -> dict[str, dict[str, str]]:

@@ -36,23 +36,13 @@ class Light:
     n_in: float
     n_out: float
 
-    @property
-    def n(self) -> float:
-        """Index on the side of the scattered light."""
-        return self.n_in if self.reflect else self.n_out
-
-    @property
-    def step(self) -> float:
-        """Path difference by height of the surface at normal incidence."""
-        return 2 * self.n_in if self.reflect else abs(self.n_in - self.n_out)
-
-    @property
-    def cos_i(self) -> Array:
-        return _dot(self.d, self.axis)
-
-    @property
-    def cos_s(self) -> Array:
-        return np.abs(_dot(self.w, self.axis))
+    n = property(lambda self: self.n_in if self.reflect else self.n_out)  # on the side of the scattered light
+    # Path difference by height of the surface at normal incidence
+    step = property(lambda self: 2 * self.n_in if self.reflect else abs(self.n_in - self.n_out))
+    cos_i = property(lambda self: _dot(self.d, self.axis))
+    cos_s = property(lambda self: np.abs(_dot(self.w, self.axis)))
+    cos_0 = property(lambda self: np.abs(_dot(self.specular, self.axis)))
+    r = property(lambda self: np.linalg.norm(self.tangential(self.w - self.specular), axis=1))
 
     @property
     def refracts(self) -> Array:
@@ -65,16 +55,8 @@ class Light:
         tangential = self.n_in / self.n_out * (self.d - self.cos_i[:, None] * self.axis)
         return tangential + np.sqrt(np.maximum(0.0, 1 - _dot(tangential, tangential)))[:, None] * self.axis
 
-    @property
-    def cos_0(self) -> Array:
-        return np.abs(_dot(self.specular, self.axis))
-
     def tangential(self, v: Array) -> Array:
         return v - _dot(v, self.axis)[:, None] * self.axis
-
-    @property
-    def r(self) -> Array:
-        return np.linalg.norm(self.tangential(self.w - self.specular), axis=1)
 
     @property
     def cos_phi(self) -> Array:
@@ -89,14 +71,10 @@ class Light:
         return self.n_in * self.cos_i - self.n_out * self.cos_s
 
 
-def abg(v: Values, light: Light) -> Array:
-    return v["A"] / (v["B"] + light.r ** v["g"])
-
-
-def abg_at(reference_nm: float) -> Callable[[Values, Light], Array]:
-    """Of a smooth surface, with A and B at another wavelength."""
+def abg(v: Values, light: Light, reference_nm: float = WAVELENGTH_NM) -> Array:
+    """Of a smooth surface, with A and B at a wavelength."""
     k = WAVELENGTH_NM / reference_nm
-    return lambda v, light: v["A"] * k ** (v["g"] - 4) / (v["B"] * k ** v["g"] + light.r ** v["g"])
+    return v["A"] * k ** (v["g"] - 4) / (v["B"] * k ** v["g"] + light.r ** v["g"])
 
 
 def harvey_shack(v: Values, light: Light) -> Array:
@@ -232,18 +210,20 @@ class Form:
     values: dict[str, float]
     parts: tuple[Callable[..., Array], ...]
     options: dict[str, str | bool | float] = field(default_factory=dict)
-    events: tuple[str, ...] = ("reflection", "transmission")
     reflects_at_back: bool = True
     absolute: bool = False
     about_normal: tuple[Callable[..., Array], ...] = ()
     own_share: bool = False
 
+    @property
+    def events(self) -> tuple[str, ...]:
+        event = str(self.options.get("event", "transmission" if self.kind == "edge_diffraction" else "both"))
+        return ("reflection", "transmission") if event == "both" else (event,)
+
     def scatters(self, reflect: bool, from_front: bool) -> bool:
         """Whether light of this side is scattered in this event."""
-        side = from_front or (
-            self.options.get("side", "both") == "both" and not (reflect and not self.reflects_at_back)
-        )
-        return side and ("reflection" if reflect else "transmission") in self.events
+        back = self.options.get("side", "both") == "both" and (self.reflects_at_back or not reflect)
+        return (from_front or back) and ("reflection" if reflect else "transmission") in self.events
 
     def bsdf(self, values: Values, light: Light, share: float | Array) -> Array:
         """1/sr; `share` is R or T."""
@@ -255,12 +235,14 @@ class Form:
         return found if self.absolute else found * share
 
 
-K = {"rms_nm": 4.0, "B_um": 20.0, "slope": 2.5}
+AT_633 = partial(abg, reference_nm=633.0)
+K, ROUGH = {"rms_nm": 4.0, "B_um": 20.0, "slope": 2.5}, {"rms_nm": 20.0, "B_um": 20.0, "slope": 3.0}
+PAINT, REFLECTED = {"reflectance": 0.03, "b0": 0.1, "l": 0.2, "s": -3.0, "n": 1.5}, {"event": "reflection"}
 FORMS: dict[str, Form] = {
     "abg": Form("abg", {"A": 2.5e-3, "B": 1e-3, "g": 1.8}, (abg,)),
     "abg absolute": Form("abg", {"A": 2.5e-3, "B": 1e-3, "g": 1.8}, (abg,), {"relative_to": "incident"}, absolute=True),
     "abg narrow": Form("abg", {"A": 2e-3, "B": 1e-9, "g": 2.0}, (abg,)),
-    "abg of 633 nm": Form("abg", {"A": 2.5e-3, "B": 1e-3, "g": 1.8}, (abg_at(633.0),), {"reference_nm": 633.0}),
+    "abg of 633 nm": Form("abg", {"A": 2.5e-3, "B": 1e-3, "g": 1.8}, (AT_633,), {"reference_nm": 633.0}),
     "harvey_shack": Form("harvey_shack", {"b0": 0.5, "l": 0.01, "s": -1.5}, (harvey_shack,)),
     "harvey_shack of a roughness": Form("harvey_shack", {"rms_nm": 4.0, "l": 0.01, "s": -1.5}, (harvey_shack,)),
     "gaussian_lobe": Form("gaussian_lobe", {"total": 0.3, "width": 0.15}, (gaussian,)),
@@ -269,25 +251,10 @@ FORMS: dict[str, Form] = {
     "psd_table": Form("psd_table", {"scale": 1.2}, (measured,), {"file": str(SPECTRUM)}),
     "ghs": Form("k_correlation", K, (smooth,)),
     "ghs in a band": Form("k_correlation", K, (smooth_in_band,), {"band_limited": True, "reference_nm": 1e3 * BAND_UM}),
-    "ghs_full": Form(
-        "k_correlation", K | {"rms_nm": 20.0, "slope": 3.0}, (all_orders,), {"theory": "ghs_full", "side": "front"}
-    ),
-    "rayleigh_rice": Form(
-        "k_correlation",
-        K,
-        (scalar_rayleigh_rice,),
-        {"theory": "rayleigh_rice", "event": "reflection"},
-        events=("reflection",),
-    ),
+    "ghs_full": Form("k_correlation", ROUGH, (all_orders,), {"theory": "ghs_full", "side": "front"}),
+    "rayleigh_rice": Form("k_correlation", K, (scalar_rayleigh_rice,), {"theory": "rayleigh_rice", **REFLECTED}),
     "rayleigh_rice_vector": Form("k_correlation", K, (vector_rayleigh_rice,), {"theory": "rayleigh_rice_vector"}),
-    "edge_diffraction": Form("edge_diffraction", {"width_mm": 0.05}, (edge,), events=("transmission",)),
-    "paint": Form(
-        "paint",
-        {"reflectance": 0.03, "b0": 0.1, "l": 0.2, "s": -3.0, "n": 1.5},
-        (gloss,),
-        {"event": "both", "side": "front"},
-        absolute=True,
-        about_normal=(lambertian,),
-    ),
+    "edge_diffraction": Form("edge_diffraction", {"width_mm": 0.05}, (edge,)),
+    "paint": Form("paint", PAINT, (gloss,), {"event": "both", "side": "front"}, True, True, (lambertian,)),
     "particulate": Form("particulate", {"level": 100.0}, (particles,), own_share=True, reflects_at_back=False),
 }

@@ -27,18 +27,10 @@ BEGINNING = """
     dr.set_flag(dr.JitFlag.Debug, True)
 """
 PROGRAMS = {
-    "a wrong index": """
-        dr.eval(dr.gather(mi.Float, mi.Float(1, 2, 3), mi.UInt32(0, 3)))
-    """,
-    "pst by both directions": """
-        mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=1)
-    """,
-    "pst of a deep tube": """
-        mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=3)
-    """,
-    "pst of a camera": """
-        mistray.pst(mistray.load("phone_camera_scatter"), [5.0, 40.0], rays=20_000, max_reflections=1)
-    """,
+    "a wrong index": "dr.eval(dr.gather(mi.Float, mi.Float(1, 2, 3), mi.UInt32(0, 3)))",
+    "pst by both directions": 'mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=1)',
+    "pst of a deep tube": 'mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=3)',
+    "pst of a camera": 'mistray.pst(mistray.load("phone_camera_scatter"), [5, 40], rays=20_000, max_reflections=1)',
     "traces": """
         for name in ("cooke_triplet", "double_gauss", "offner_relay", "segmented_mirror", "head_up_display"):
             trace = mistray.trace(mistray.load(name), rays=20_000, polarization="stokes")

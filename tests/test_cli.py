@@ -12,6 +12,7 @@ import time
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import json_units
 import numpy as np
@@ -56,13 +57,6 @@ def fake(monkeypatch: Patch) -> Calls:
     monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.run"), "run", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
     return calls
-
-
-def raising(error: BaseException) -> Any:
-    def function(*_: Any, **__: Any) -> None:
-        raise error
-
-    return function
 
 
 OF_PARSERS = ("arguments", "command", "drawings.ray_choice", "field_options", "fields", "installed", "shared_options")
@@ -157,26 +151,26 @@ def test_formats_hold_what_was_traced(capsys: Captured, fake: Calls, tmp_path: P
     assert (fake[-1]["method"], fake[-1]["state"]) == ("forward", None)  # which saves nothing to go on from
 
 
+DENIED = PermissionError(13, "Permission denied", "x.xml")
+
+
 @pytest.mark.parametrize(
     ("error", "line"),
     [
         (MistrayError("shape 'L1': no material;\n  add one"), "shape 'L1': no material; add one"),
         (RuntimeError("LLVM backend\nis not available"), "LLVM backend is not available"),
-        (
-            PermissionError(13, "Permission denied", "x.xml"),
-            "'x.xml': Permission denied; check the place, its permissions and its free space",
-        ),
+        (DENIED, "'x.xml': Permission denied; check the place, its permissions and its free space"),
         (MemoryError(), "out of memory; use fewer rays, fields or pixels"),
     ],
 )
 def test_errors_are_one_line(capsys: Captured, monkeypatch: Patch, error: BaseException, line: str) -> None:
-    monkeypatch.setattr(mistray.scene, "load", raising(error))
+    monkeypatch.setattr(mistray.scene, "load", Mock(side_effect=error))
     assert fails(capsys, "ghosts", "lens.xml") == line
 
 
 def test_a_trace_that_fails_writes_nothing(capsys: Captured, fake: Calls, monkeypatch: Patch, tmp_path: Path) -> None:
     traces = importlib.import_module("mistray.analyses.ghosts.field_traces")
-    monkeypatch.setattr(traces, "trace", raising(MistrayError("field 80 deg: no ray meets the lens")))
+    monkeypatch.setattr(traces, "trace", Mock(side_effect=MistrayError("field 80 deg: no ray meets the lens")))
     fails(capsys, "ghosts", "lens.xml", "--out", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
@@ -186,7 +180,7 @@ def test_an_interrupt_before_all_is_saved(capsys: Captured, monkeypatch: Patch, 
     """Also as Dr.Jit has it, as a RuntimeError; what another run has saved is none that --force goes on from."""
     error = RuntimeError("while_loop(): encountered an exception") if within else KeyboardInterrupt()
     error.__cause__ = KeyboardInterrupt() if within else None
-    monkeypatch.setattr(mistray.scene, "load", raising(error))
+    monkeypatch.setattr(mistray.scene, "load", Mock(side_effect=error))
     (tmp_path / "pst_state.npz").write_bytes(b"of another run")
     for command in (("ghosts", "lens.xml"), ("pst", "plate", "--out", tmp_path, "--force")):
         assert run(capsys, *command) == (130, "", "mistray: interrupted, nothing was written\n")

@@ -168,13 +168,16 @@ def test_many_lines_with_the_same_keyword_are_told_once(capsys):
 
 
 def test_ghosts_of_a_lens_file(capsys):
-    """Numbers on stdout, what was assumed on stderr, and nothing is left behind."""
+    """Numbers on stdout, what was assumed on stderr, nothing left behind; one that cannot be read is told."""
     code, out, notes = run(capsys, "ghosts", "singlet.zmx", "--rays", 500, "--json")
     assert code == 0, notes
     assert json.loads(out)["fields"][0]["worst_paths"]
     for part in ("line 11: XYZZY 1 2 3", "--coating 'detector=R=0.1'", "mistray import"):
         assert part in notes
     assert [path.name for path in Path().iterdir()] == ["singlet.zmx"]
+    Path("telescope.yaml").write_text("opticalSystem: {}", encoding="utf-8")
+    for name, message in (("none.seq", "none.seq"), ("telescope.yaml", "give --wavelength-nm")):
+        assert message in fails(capsys, "ghosts", name)
 
 
 def test_coating_a_lens_file_writes_a_scene(capsys):
@@ -189,9 +192,3 @@ def test_coating_a_lens_file_writes_a_scene(capsys):
     assert Path("twice.xml").read_text() == Path("coated.xml").read_text()
     assert "singlet.zmx" in run(capsys, "coat", "singlet.zmx", "S?=bbar3", "-o", "singlet.zmx", "--force")[2]
     assert Path("singlet.zmx").read_text() == ZMX
-
-
-def test_a_lens_file_that_cannot_be_read(capsys):
-    Path("telescope.yaml").write_text("opticalSystem: {}", encoding="utf-8")
-    for name, message in (("none.seq", "none.seq"), ("telescope.yaml", "give --wavelength-nm")):
-        assert message in fails(capsys, "ghosts", name)

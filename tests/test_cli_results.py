@@ -20,7 +20,6 @@ import pandas as pd
 import pytest
 import vectors
 from command_line import Captured, Patch, fails, run, succeeds
-from oracles.object_scenes import open_tube_text
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 from test_every_command import BUDGET, INPUTS, STUDY
 
@@ -44,24 +43,22 @@ def names_in(folder: Path) -> set[str]:
 
 
 class TestObjects:
-    @pytest.fixture
-    def tube(self, tmp_path: Path) -> str:
-        return str(write(tmp_path, open_tube_text(3.0, 1.0, 0.7)))
-
-    def test_options_reach_the_search(self, capsys: Captured, tube: str) -> None:
+    def test_options_reach_the_search(self, capsys: Captured, tmp_path: Path) -> None:
         given = {
             "rays": 2000, "azimuth_deg": 30, "view_half_angle_deg": 45, "threshold": 1e-3, "ray_control": "halt_all",
             "seed": 7, "max_events": 9, "wavelength_nm": 600,
         }  # fmt: skip
         words = [word for name, value in given.items() for word in (f"--{name.replace('_', '-')}", value)]
         more = ("--field-deg", "10", "20:40:10", "--no-total-reflection", "--stop", "wall", "--detector", "detector")
+        tube = write(tmp_path, INPUTS["tube.xml"])
         record = json_units.read(succeeds(capsys, "objects", tube, *words, *more, "--json"))
         assert record["angles_deg"] == [10, 20, 30, 40]
         assert {name: record["facts"][name] for name in given} == given
         assert record["facts"]["total_reflection"] is False
         assert record["stop"] == "wall"
 
-    def test_a_disc_as_source(self, capsys: Captured, tube: str) -> None:
+    def test_a_disc_as_source(self, capsys: Captured, tmp_path: Path) -> None:
+        tube = write(tmp_path, INPUTS["tube.xml"])
         disc = ("--rays", "2e3", "--disc", "-1", "0.5", "--half-angle-deg", "5", "--json")
         record = json_units.read(succeeds(capsys, "objects", tube, *disc))
         assert record["facts"]["source"].startswith("disc")
@@ -224,13 +221,9 @@ def test_the_scene_of_a_budget_is_that_of_its_table(capsys: Captured, tmp_path: 
 
 
 class TestThermal:
-    @pytest.fixture
-    def warm(self, tmp_path: Path) -> str:
-        return str(write(tmp_path, INPUTS["warm.xml"]))
-
     @pytest.mark.long
-    def test_a_time_budget_is_kept_and_the_result_says_so(self, capsys: Captured, warm: str) -> None:
-        began = time.monotonic()
+    def test_a_time_budget_is_kept_and_the_result_says_so(self, capsys: Captured, tmp_path: Path) -> None:
+        began, warm = time.monotonic(), write(tmp_path, INPUTS["warm.xml"])
         code, text, _ = run(capsys, "thermal", warm, "--rays", "1e9", "--seconds", "3", "--json")
         assert code == 0
         assert time.monotonic() - began < 15  # others may use the machine, too
@@ -238,8 +231,8 @@ class TestThermal:
         assert any("rays were traced" in note for note in found["notes"])
         assert found["total_W_mm2"] > found["total_W_mm2_se"] > 0
 
-    def test_noise(self, capsys: Captured, warm: str, tmp_path: Path) -> None:
-        out = tmp_path / "out"
+    def test_noise(self, capsys: Captured, tmp_path: Path) -> None:
+        out, warm = tmp_path / "out", write(tmp_path, INPUTS["warm.xml"])
         pixel = ("--pixel-um", "15", "--bandwidth-hz", "500", "--quantum-efficiency", "0.6")
         command = ("thermal", warm, *pixel, "--rays", "2e4")
         text = succeeds(capsys, *command, "--out", out)

@@ -55,10 +55,6 @@ def public() -> dict[str, Any]:
     return dict(found.values())
 
 
-def takes_long(name: str) -> bool:
-    return any(fnmatch.fnmatchcase(name, pattern) for pattern in LONG)
-
-
 def failures(name: str, value: Any) -> str:
     """Run the examples of a function, or of a class and its methods, and return what went wrong."""
     told: list[str] = []
@@ -67,13 +63,6 @@ def failures(name: str, value: Any) -> str:
         runner.run(test, out=told.append)
     assert runner.tries
     return "".join(told)
-
-
-def run(name: str) -> None:
-    for package, module in PEERS.items():
-        if name.endswith(package):
-            (peers.rayoptics if package == "rayoptics" else peers.optiland)(module)
-    assert failures(name, public()[name]) == ""
 
 
 @pytest.mark.quick
@@ -101,19 +90,19 @@ def test_each_public_name_has_an_example_and_each_attribute_a_line() -> None:
     assert silent == []
 
 
-@pytest.mark.quick
-@pytest.mark.core
-@pytest.mark.parametrize("name", sorted(name for name in public() if not takes_long(name)))
+def marks_of(name: str) -> tuple[pytest.MarkDecorator, ...]:
+    if any(fnmatch.fnmatchcase(name, pattern) for pattern in LONG):
+        return (pytest.mark.long,)
+    return pytest.mark.quick, pytest.mark.core
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=marks_of(name)) for name in sorted(public())])
 def test_an_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    run(name)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", sorted(filter(takes_long, public())))
-def test_a_long_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    run(name)
+    for package, module in PEERS.items():
+        if name.endswith(package):
+            (peers.rayoptics if package == "rayoptics" else peers.optiland)(module)
+    assert failures(name, public()[name]) == ""
 
 
 @pytest.mark.quick
@@ -137,14 +126,10 @@ NOTED = re.compile(r".*MistrayWarning: .*\[[a-z-]+\]\n.*\n")  # a note of a resu
 BEFORE = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import peers; _ = peers.optiland('optic')"
 
 
-def read(path: Path) -> nbformat.NotebookNode:
-    return nbformat.read(path, as_version=4)
-
-
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_committed_without_outputs_and_with_links_that_lead_somewhere(path):
     assert set(CLAIMS) <= {path.stem for path in NOTEBOOKS}
-    notebook = read(path)
+    notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     for cell in notebook.cells:
         if cell.cell_type == "code":
@@ -166,7 +151,7 @@ RUN = [pytest.param(path, id=path.stem, marks=slow_unless(path.stem not in STUDI
 
 @pytest.mark.parametrize("path", RUN)
 def test_runs(path, tmp_path):
-    notebook = read(path)
+    notebook = nbformat.read(path, as_version=4)
     if path.stem == "optiland":
         peers.need("optiland")
         notebook.cells.insert(0, nbformat.v4.new_code_cell(BEFORE))

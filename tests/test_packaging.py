@@ -11,7 +11,6 @@ import sys
 import tarfile
 import tomllib
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -38,11 +37,6 @@ def repository_files() -> list[Path]:
     return sorted(Path(name) for name in names if name and (ROOT / name).is_file())
 
 
-def expected_files() -> set[str]:
-    parts = [(file.parts[0], "/".join(file.parts[1:])) for file in repository_files()]
-    return {f"{SOURCES[top]}/{rest}" for top, rest in parts if top in SOURCES and rest}
-
-
 def run(*command: str, cwd: Path) -> None:
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
@@ -65,7 +59,9 @@ def test_wheel(clone, tmp_path, sdist):
     run(sys.executable, "-m", *map(str, command), cwd=clone)
     (made,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(made).namelist()
-    assert {name for name in names if not re.match(r"mistray-[^/]*\.dist-info/", name)} == expected_files()
+    parts = [(file.parts[0], "/".join(file.parts[1:])) for file in repository_files()]
+    expected = {f"{SOURCES[top]}/{rest}" for top, rest in parts if top in SOURCES and rest}
+    assert {name for name in names if not re.match(r"mistray-[^/]*\.dist-info/", name)} == expected
     if sdist:
         (made,) = tmp_path.glob("*.tar.gz")
         with tarfile.open(made) as archive:
@@ -216,13 +212,6 @@ def test_make_release_check_says_what_is_missing() -> None:
     assert {file.suffix for file in release_check.OUT.iterdir()} == {".whl", ".gz"}
 
 
-def deprecations(text: str) -> Iterator[str]:
-    """Sources of the calls that warn of a deprecation."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Call) and "DeprecationWarning" in [ast.unparse(one) for one in node.args]:
-            yield ast.unparse(node)
-
-
 def ended(call: str) -> bool:
     """Whether a call that warns of a deprecation names no version in which the old name goes, or one that has come."""
     named = re.search(r"goes in mistray (\d+\.\d+)", call)
@@ -235,11 +224,12 @@ def test_deprecations_end_when_they_say() -> None:
     assert ended(f"warnings.warn('old is new now, and goes in mistray {VERSION}', DeprecationWarning)")
     assert not ended("warnings.warn('old is new now, and goes in mistray 99.0', DeprecationWarning)")
     found = [
-        f"{file.relative_to(ROOT)}: {call}"
+        f"{file.relative_to(ROOT)}: {ast.unparse(node)}"
         for top in ("mistray", "plugins")
         for file in sorted((ROOT / top).rglob("*.py"))
         if "DeprecationWarning" in (text := file.read_text(encoding="utf-8"))
-        for call in deprecations(text)
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call) and "DeprecationWarning" in [ast.unparse(one) for one in node.args]
     ]
     assert [one for one in found if ended(one)] == []
 

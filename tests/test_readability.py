@@ -22,17 +22,6 @@ OLD = re.compile(
 CODE = re.compile(r"[{};]\s*$|^\s*(import|from|const|let|for|return)\b|</\w+>", re.MULTILINE)
 
 
-def messages(folder: Path) -> list[tuple[str, str]]:
-    """Place and text of every literal of a folder with blanks in it that is no code of another language."""
-    below = folder.glob("*.py") if folder.name == "mistray" else folder.rglob("*.py")
-    return [
-        (f"{source.relative_to(ROOT)}:{line}", text)
-        for source in sorted(below)
-        for line, text in literals(source.read_text(encoding="utf-8"))
-        if " " in text and not CODE.search(text)
-    ]
-
-
 def test_what_counts_as_a_sentence() -> None:
     page = "# Title\n\nOne is short. `a.b`, `c` and `d` are\n[two](x.md#y.z).\n"
     page += "\n    code here\n\n| 1 | two. Three |\n"
@@ -52,7 +41,14 @@ def test_pages(page: Path) -> None:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_messages_and_help(folder: Path) -> None:
-    found = messages(folder)
+    """Of every literal with blanks in it that is no code of another language."""
+    below = folder.glob("*.py") if folder.name == "mistray" else folder.rglob("*.py")
+    found = [
+        (f"{source.relative_to(ROOT)}:{line}", text)
+        for source in sorted(below)
+        for line, text in literals(source.read_text(encoding="utf-8"))
+        if " " in text and not CODE.search(text)
+    ]
     paragraphs = [(place, part) for place, text in found for part in re.split(r"\n\s*\n", text)]
     assert [f"{place}: {one}" for place, part in paragraphs for one in of_text(part) if words(one) > MOST] == []
     assert [f"{place}: {text}" for place, text in found if OLD.search(text)] == []

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from command_line import Patch, run
@@ -184,14 +185,10 @@ def test_a_run_that_was_saved_is_named(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "study.toml").write_text(STUDY)
     words, saved = RUNS[command]
-
-    def stopped(*_: Any) -> None:
-        raise stop
-
     for page in ("optimize", "pst", "study"):  # one that is imported below would keep what stands in for a moment
         importlib.import_module(f"mistray.analyses.{page}.page")
     with monkeypatch.context() as patch:
-        patch.setattr("mistray.toolkit.pages.output.write_report", stopped)
+        patch.setattr("mistray.toolkit.pages.output.write_report", Mock(side_effect=stop))
         code = main([*words, "--out", "out"])
     said = capsys.readouterr().err
     assert code == (2 if isinstance(stop, MistrayError) else 130)

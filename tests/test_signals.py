@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 from subprocess import DEVNULL, PIPE, Popen
+from unittest.mock import Mock
 
 import pytest
 from attack.processes import LIMIT_S, MISTRAY, interrupted, worker
@@ -130,11 +131,8 @@ def test_an_interrupt_of_a_class_that_is_made_keeps_the_exit_code() -> None:
 
 @pytest.mark.parametrize("name", ["mistray.cli", "mistray.cli.program"])
 def test_commands_called_from_python_leave_its_handlers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted_command(_: object) -> int:
-        raise KeyboardInterrupt
-
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    monkeypatch.setattr("mistray.cli.program._command", interrupted_command)
+    monkeypatch.setattr("mistray.cli.program._command", Mock(side_effect=KeyboardInterrupt))
     assert importlib.import_module(name).main(["doctor"]) == 130
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 

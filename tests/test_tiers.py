@@ -55,16 +55,14 @@ class TestParts:
         assert sum({("a", "x"), ("a", "y")} <= part for part in cut) == 1
         assert max(len([place for place in part if place[0] == "b"]) for part in cut) < 3
 
-    @pytest.mark.parametrize(("text", "index"), [("0", 0), ("4", 0), ("20421", 1)])
-    def test_chosen_by_a_number(self, text: str, index: int, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv(tiers.PART, text)
-        assert tiers.chosen_part(4) == index
-
-    @pytest.mark.parametrize("text", ["", "-1", "1.5", "today"])
-    def test_nonsense_is_refused(self, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv(tiers.PART, text)
-        with pytest.raises(pytest.UsageError, match=tiers.PART):
-            tiers.chosen_part(4)
+    def test_chosen_by_a_number_and_nonsense_is_refused(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for text, index in (("0", 0), ("4", 0), ("20421", 1)):
+            monkeypatch.setenv(tiers.PART, text)
+            assert tiers.chosen_part(4) == index
+        for text in ("", "-1", "1.5", "today"):
+            monkeypatch.setenv(tiers.PART, text)
+            with pytest.raises(pytest.UsageError, match=f"{tiers.PART} is '{text}'"):
+                tiers.chosen_part(4)
 
     def test_a_test_newer_than_the_record_is_in_every_part(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(tiers, "recorded", lambda: {"a.py": {"test_x": tiers.MOST_S, "test_y": tiers.MOST_S}})

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from textwrap import dedent
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 import vectors
@@ -263,6 +264,7 @@ def test_what_the_wheel_needs_is_loaded_before_it(installed, monkeypatch):
     monkeypatch.setattr(ctypes, "CDLL", load)
     assert _llvm._loaded_version(str(installed / "libLLVM.so.23.1")) is None
     assert opened == ["libatomic", *(str(installed / name) for name in OF_WHEEL)]
+    assert "pip install 'mistray[llvm]'" in _llvm.LLVM_REMEDY  # the remedy without root
 
 
 def test_a_wheel_without_its_libraries(installed, monkeypatch):
@@ -271,11 +273,6 @@ def test_a_wheel_without_its_libraries(installed, monkeypatch):
     monkeypatch.setattr(_llvm, "_libraries", list)
     with refused("found only karellen-llvm-core without its libraries.*--target"):
         _llvm.find_llvm()
-
-
-@ON_LINUX
-def test_the_remedy_without_root():
-    assert "pip install 'mistray[llvm]'" in _llvm.LLVM_REMEDY
 
 
 @pytest.mark.parametrize("needs", [(), ("/a/libc++.so.1",)])
@@ -319,17 +316,12 @@ class TestLibatomic:
         assert not exchange(ctypes.addressof(memory), expected, 7, 8, 5, 5)
         assert (list(memory), list(expected)) == (second, second)
 
-    def test_a_machine_that_has_libatomic_keeps_it(self, monkeypatch):
+    def test_a_machine_that_has_libatomic_keeps_it_and_one_that_runs_no_code_from_memory(self, monkeypatch):
         opened = []
         monkeypatch.setattr(ctypes, "CDLL", opened.append)
         assert _libatomic.provide_libatomic.__wrapped__() is None
         assert opened == [_libatomic.NAME]
-
-    def test_a_kernel_that_runs_no_code_from_memory(self, monkeypatch):
-        def refuse(path):
-            raise OSError(path)
-
-        monkeypatch.setattr(ctypes, "CDLL", refuse)
+        monkeypatch.setattr(ctypes, "CDLL", Mock(side_effect=OSError))
         assert _libatomic.provide_libatomic.__wrapped__() is None
 
     @pytest.mark.long

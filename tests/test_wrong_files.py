@@ -33,14 +33,12 @@ READERS: dict[str, Callable[[Path], object]] = {
     "Zemax BSDF": read_zemax_bsdf,
     "BSDF table": read_bsdf_csv,
     "table of light": read_table,
-    "IES file": read_intensities,
-    "table of intensities": read_intensities,
+    **dict.fromkeys(("IES file", "table of intensities"), read_intensities),
     "grid of heights": read_grid,
     "CODE V lens": read_codev,
     "Zemax lens": read_zemax,
     "OBJ file": read_mechanics,
-    "ray set": read_ray_set,
-    "Zemax rays": read_ray_set,
+    **dict.fromkeys(("ray set", "Zemax rays"), read_ray_set),
 }
 
 

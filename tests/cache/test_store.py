@@ -7,6 +7,7 @@ import random
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -39,11 +40,7 @@ def test_content_comes_back(cache: Cache, monkeypatch: pytest.MonkeyPatch) -> No
     assert cache.problems == []
     with pytest.raises(ValueError, match="not a key of a cache"):
         cache.put("../../elsewhere", b"")
-
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "replace", interrupted)
+    monkeypatch.setattr(os, "replace", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         cache.put(KEY, b"new")
     assert cache.get(KEY, bytes) == b"old"
@@ -79,11 +76,9 @@ def test_damage_is_told_once_and_made_again(cache: Cache, place: int, length: in
     assert cache.get(KEY, bytes) is None
 
 
-def refuse(*_: object, **__: object) -> None:
-    raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-
-
 class TestDisk:
+    refuse = Mock(side_effect=OSError(errno.EROFS, os.strerror(errno.EROFS)))
+
     def is_told(self, cache: Cache, words: str) -> None:
         for number in range(3):
             cache.put(key_of({"number": number}), b"content")
@@ -113,14 +108,14 @@ class TestDisk:
         """What is there is read; nothing is written. Root may write everywhere, so the refusal is imitated."""
         cache.put(KEY, b"kept")
         before = entry(cache).stat().st_mtime_ns
-        monkeypatch.setattr(store.os, "utime", refuse)
+        monkeypatch.setattr(store.os, "utime", self.refuse)
         assert cache.get(KEY, bytes) == b"kept"
         assert cache.problems == []
-        monkeypatch.setattr(Path, "open", refuse)
+        monkeypatch.setattr(Path, "open", self.refuse)
         self.is_told(cache, "Read-only file system")
         monkeypatch.undo()
         assert entry(cache).stat().st_mtime_ns == before
-        monkeypatch.setattr(Path, "unlink", refuse)
+        monkeypatch.setattr(Path, "unlink", self.refuse)
         with pytest.raises(MistrayError, match="Read-only file system; remove it yourself"):
             cache.clear()
 

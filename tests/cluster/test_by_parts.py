@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -269,15 +270,12 @@ def test_a_scene_travels_with_its_numbers_as_they_are():
         put_numbers(scene, read_numbers(mistray.load("plate_and_wall")))
 
 
-def test_a_file_that_changed_since_is_noticed(plate, tmp_path):
+def test_a_change_of_a_file_and_a_small_one_of_a_curvature_are_noticed(plate, tmp_path):
+    """Since the scene was loaded, and since the trace; beside the curvature a radius is a thousand times as large."""
     scene = mistray.load(plate)
     (tmp_path / "parts/tables/coat.csv").write_text(TABLE.replace("0.7", "0.6"))
     with working_with(Here()), pytest.raises(MistrayError, match="another one at the worker"):
         mistray.trace(scene, rays=500)
-
-
-def test_a_small_change_since_the_trace_is_noticed():
-    """Of a curvature, beside a radius that is a thousand times as large."""
     scene = mistray.load("plate")
     with working_with(Here()):
         t = mistray.trace(scene, rays=500)
@@ -381,18 +379,14 @@ class Processes:
     scheduler: subprocess.Popen
     workers: list[subprocess.Popen]
 
-    def end(self) -> None:
-        for process in (*self.workers, self.scheduler):
-            process.kill()
-            process.wait()
-
 
 def dask(name: str, *arguments: str) -> subprocess.Popen:
     command = [sys.executable, "-m", f"distributed.cli.dask_{name}", *arguments, "--no-dashboard"]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def start(folder: Path, workers: int, threads: int = 1) -> Processes:
+@contextlib.contextmanager
+def processes(folder: Path, workers: int, threads: int = 1) -> Iterator[Processes]:
     file = folder / "scheduler.json"
     scheduler = dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
     address, ends = "", time.monotonic() + LIMIT_S
@@ -404,14 +398,19 @@ def start(folder: Path, workers: int, threads: int = 1) -> Processes:
         except (OSError, ValueError):  # not there, or not whole
             continue
     options = ["--nthreads", str(threads), "--no-nanny", "--local-directory", str(folder)]
-    return Processes(address, scheduler, [dask("worker", address, *options) for _ in range(workers)])
+    made = Processes(address, scheduler, [dask("worker", address, *options) for _ in range(workers)])
+    try:
+        yield made
+    finally:
+        for process in (*made.workers, scheduler):
+            process.kill()
+            process.wait()
 
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    processes = start(tmp_path_factory.mktemp("cluster"), 2)
-    yield processes
-    processes.end()
+    with processes(tmp_path_factory.mktemp("cluster"), 2) as made:
+        yield made
 
 
 @pytest.fixture(autouse=True)
@@ -493,20 +492,24 @@ def test_a_scheduler_that_is_gone_is_told_and_what_was_finished_is_kept(cluster,
     assert "Traceback" not in capfd.readouterr().err
 
 
+LAYOUT = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+
+
 class Failing:
-    """A task that fails at the worker with what a lost connection could raise, too."""
+    """A task whose part 0 fails at the worker with what a lost connection could raise, too."""
 
     def make(self):
         return None
 
     def do(self, made, part):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if part == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return part
 
 
 def test_an_error_of_a_part_is_not_taken_for_a_lost_connection():
-    layout = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with (
-        distributed.LocalCluster(**layout) as here,
+        distributed.LocalCluster(**LAYOUT) as here,
         distributed.Client(here) as client,
         mistray.distribute(client),
         pytest.raises(MistrayError, match=r"a worker failed: OSError: .*No space left on device") as caught,
@@ -516,22 +519,14 @@ def test_an_error_of_a_part_is_not_taken_for_a_lost_connection():
     assert not isinstance(caught.value, UnfinishedError)
 
 
-class Easy(Failing):
-    """A task that succeeds."""
-
-    def do(self, made, part):
-        return part
-
-
 @pytest.mark.long
 def test_a_result_that_is_lost_with_the_last_worker_is_not_waited_for(monkeypatch):
-    layout = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     finished = DaskJob._next
     with (
-        distributed.LocalCluster(**layout) as here,
+        distributed.LocalCluster(**LAYOUT) as here,
         distributed.Client(here) as client,
         mistray.distribute(client, patience_s=0.2),
-        do_parts(current_workers(), Easy(), [0]) as results,
+        do_parts(current_workers(), Failing(), [1]) as results,
     ):
 
         def lost(job):
@@ -561,27 +556,20 @@ def test_no_client(capsys):
 
 @pytest.mark.slow
 def test_a_worker_with_threads_is_refused(tmp_path, scene):
-    processes = start(tmp_path, 1, threads=2)
-    try:
-        with pytest.raises(MistrayError, match="has 2 threads"), mistray.distribute(processes.address):
-            mistray.trace(scene, rays=1000)
-    finally:
-        processes.end()
+    with (
+        processes(tmp_path, 1, threads=2) as made,
+        pytest.raises(MistrayError, match="has 2 threads"),
+        mistray.distribute(made.address),
+    ):
+        mistray.trace(scene, rays=1000)
 
 
 @pytest.mark.slow
 def test_workers_that_are_all_gone_are_waited_for_and_then_given_up(tmp_path, scene):
-    processes = start(tmp_path, 1)
-
-    def kill(*_: int) -> None:
-        processes.workers[0].kill()
-
-    try:
-        with (
-            pytest.raises(UnfinishedError, match="no worker is left") as caught,
-            mistray.distribute(processes.address, patience_s=20.0),
-        ):
-            mistray.trace(scene, rays=RAYS, progress=kill)
-    finally:
-        processes.end()
+    with (
+        processes(tmp_path, 1) as made,
+        pytest.raises(UnfinishedError, match="no worker is left") as caught,
+        mistray.distribute(made.address, patience_s=20.0),
+    ):
+        mistray.trace(scene, rays=RAYS, progress=lambda *_: made.workers[0].kill())
     assert 0 < caught.value.partial.rays_traced < RAYS

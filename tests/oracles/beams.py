@@ -44,9 +44,7 @@ def start_distance(model: SceneModel, emitter: Emitter) -> float:
     return own if own > 0 else 1.01 * model.radius_about(emitter.to_world[:3, 3])
 
 
-def collimated(
-    emitter: Emitter, rays: int, distance: float, field_deg: float | None = None, azimuth_deg: float | None = None
-) -> Beam:
+def collimated(emitter: Emitter, rays: int, distance: float, field_deg: float | None = None) -> Beam:
     """Start rays of a collimated source, ``distance`` mm upstream of its pivot; None takes the scene's own field."""
     values = emitter.values
 
@@ -54,7 +52,7 @@ def collimated(
         return float(values.get(name, default))
 
     theta_deg = number("field_deg", 0.0) if field_deg is None else field_deg
-    phi_deg = number("azimuth_deg", 0.0) if azimuth_deg is None else azimuth_deg
+    phi_deg = number("azimuth_deg", 0.0)
     direction = field_direction(theta_deg, phi_deg)
     if "radius" in values:
         outer, inner = number("radius", 0.0), number("inner_radius", 0.0)

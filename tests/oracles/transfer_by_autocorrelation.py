@@ -7,21 +7,19 @@ import numpy as np
 import peers
 
 DEGREE = 8
-CELLS = 256
+CELLS, RINGS, SPOKES = 256, 24, 48
 
 
-def pupil_rays(
-    optic: Any, field: float, wavelength_um: float, rings: int = 24, spokes: int = 48
-) -> dict[str, np.ndarray]:
+def pupil_rays(optic: Any, field: float, wavelength_um: float) -> dict[str, np.ndarray]:
     """Places in the stop, on the reference sphere and in the entering beam, and OPD of optiland's rays; by name."""
     base = peers.optiland("distribution").BaseDistribution
     wavefront = peers.optiland("wavefront").Wavefront
 
     class Polar(base):  # type: ignore[misc, valid-type]
         def generate_points(self, *_args: Any, **_kwargs: Any) -> None:
-            r = np.sqrt((np.arange(rings) + 0.5) / rings)
+            r = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
             r[-1] = 1.0  # the rim itself: no polynomial is drawn out beyond its points
-            t = 2 * np.pi * np.arange(spokes) / spokes
+            t = 2 * np.pi * np.arange(SPOKES) / SPOKES
             self.x, self.y = np.outer(r, np.cos(t)).ravel(), np.outer(r, np.sin(t)).ravel()
 
     points = Polar()

@@ -9,7 +9,7 @@ import warnings
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import html_pages
 import numpy as np
@@ -114,9 +114,7 @@ def test_coatings_of_a_real_scene_under_the_light_of_a_fake_trace() -> None:
 
 
 def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any) -> None:
-        raise RuntimeError("out of paper")
-
+    fail = Mock(side_effect=RuntimeError("out of paper"))
     monkeypatch.setattr(html, "html_text", fail)
     with pytest.raises(RuntimeError, match="out of paper"):
         write_html(report, tmp_path / "report.html")
@@ -226,21 +224,6 @@ DECLARES = ("column", "derived.column")  # what a column of a row is declared wi
 HEADS = ("columns", "Column.of")  # what makes columns of a table from texts
 
 
-def declared_heads(tree: ast.Module) -> Iterator[str]:
-    """The headings with a unit that rows of a module declare."""
-    for call in ast.walk(tree):
-        if isinstance(call, ast.Call) and ast.unparse(call.func) in DECLARES:
-            yield from (text for keyword in call.keywords if keyword.arg == "head" for text in texts(keyword.value))
-
-
-def heads_of_tables(tree: ast.Module) -> Iterator[str]:
-    """The texts with a unit that tables of a module have as headings, or that stand in a collection."""
-    for node in ast.walk(tree):
-        is_heads = isinstance(node, ast.Call) and ast.unparse(node.func) in HEADS
-        if is_heads or isinstance(node, ast.Dict | ast.List | ast.Tuple):
-            yield from (text for child in ast.iter_child_nodes(node) for text in texts(child))
-
-
 def texts(node: ast.AST) -> Iterator[str]:
     """The text that an expression is, if it ends in a unit in brackets; without the sign of a flush left column."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.endswith("]"):
@@ -252,9 +235,15 @@ def test_no_table_repeats_a_heading_of_a_row() -> None:
     declared: dict[str, set[str]] = defaultdict(set)
     said: dict[str, list[tuple[str, str]]] = defaultdict(list)
     for path in sorted(ANALYSES.rglob("*.py")):
-        place, tree = path.relative_to(ANALYSES), ast.parse(path.read_text(encoding="utf-8"))
-        declared[place.parts[0]] |= set(declared_heads(tree))
-        said[place.parts[0]] += [(str(place), text) for text in heads_of_tables(tree)]
+        place = path.relative_to(ANALYSES)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in DECLARES:
+                heads = [keyword.value for keyword in node.keywords if keyword.arg == "head"]
+                declared[place.parts[0]] |= {text for head in heads for text in texts(head)}
+            is_heads = isinstance(node, ast.Call) and ast.unparse(node.func) in HEADS
+            if is_heads or isinstance(node, ast.Dict | ast.List | ast.Tuple):
+                parts = ast.iter_child_nodes(node)
+                said[place.parts[0]] += [(str(place), text) for part in parts for text in texts(part)]
     assert sum(map(len, declared.values())) > 20
     again = [f"{name}: '{text}'" for own, found in said.items() for name, text in found if text in declared[own]]
     assert not again, f"{again}: take the column of the row, with table(kind, rows, only=…)"

@@ -6,16 +6,16 @@ import importlib
 import inspect
 import re
 from collections.abc import Iterator
-from html.parser import HTMLParser
 from types import SimpleNamespace
 from typing import Any
 
+import html_pages
 import matplotlib
 import pytest
 import stubs
 from command_line import Captured, Patch, on_a_terminal
 from refusals import refused
-from result_calls import CALLS, LONG
+from result_calls import CALLS, LONG, result_classes
 
 import mistray
 from mistray.estimate import Estimate
@@ -27,15 +27,12 @@ long = pytest.mark.long
 COMPUTED = ("mistray.trace.", "mistray.analyses.", "mistray.metrics.")  # other modules have what is put in
 # Classes of these that exported functions return and that are no results
 OTHERS = {
-    "View": "has a three-dimensional picture of its own",
-    "Metric": "is to be evaluated",
-    "PstMetric": "is to be evaluated",
-    "CombinedMetric": "is to be evaluated",
-    "DesignStudy": "is an input",
+    "View",  # has a three-dimensional picture of its own
+    *("Metric", "PstMetric", "CombinedMetric"),  # are to be evaluated
+    "DesignStudy",  # is an input
 }
 NO_FIGURE = {"StepExport", "SurfaceTransfer", "LineImage"}  # nothing of them is drawn
 DRAWN_LONG = LONG | {"mistray.analysis.ghosts", "mistray.analysis.pst", "mistray.analysis.transfer"}
-VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
 
 
 @pytest.fixture
@@ -43,20 +40,6 @@ def plots(monkeypatch: Patch) -> Iterator[None]:
     matplotlib.use("agg")
     yield
     importlib.import_module("matplotlib.pyplot").close("all")
-
-
-class Nesting(HTMLParser):
-    """Tags that are open."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: Any) -> None:
-        self.open += [] if tag in VOID else [tag]
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
 
 
 def returned() -> dict[str, type]:
@@ -67,34 +50,25 @@ def returned() -> dict[str, type]:
         for name in module.__all__:
             function = getattr(module, name)
             if inspect.isfunction(function):
-                kind = stubs_type(function)
+                said = inspect.signature(function).return_annotation
+                names = vars(importlib.import_module(function.__module__))
+                kind = names.get(said) if isinstance(said, str) else said
                 if isinstance(kind, type) and kind.__module__.startswith(COMPUTED):
                     found[kind.__name__] = kind
     return found
 
 
-def stubs_type(function: Any) -> Any:
-    """The class that the return annotation of a function names, where it is one."""
-    said = inspect.signature(function).return_annotation
-    return vars(importlib.import_module(function.__module__)).get(said) if isinstance(said, str) else said
-
-
 def every_result() -> list[type[Result]]:
     """All classes of results, once the modules of all exported names are imported."""
     returned()
-    found, left = [], [Result]
-    while left:
-        kind = left.pop()
-        left += kind.__subclasses__()
-        found += [kind] if kind is not Result and kind.__module__.startswith("mistray.") else []
-    return found
+    return sorted(result_classes(), key=lambda kind: kind.__name__)
 
 
 @pytest.mark.core
 def test_what_exported_functions_return_is_a_result() -> None:
     assert len(returned()) >= 20
     found = {name for name, kind in returned().items() if not issubclass(kind, Result)}
-    assert found == set(OTHERS)
+    assert found == OTHERS
 
 
 @pytest.mark.core
@@ -118,9 +92,7 @@ def check(result: Result) -> None:
     assert not any(text in line for text in ("\n", " object at 0x", "nan"))
     assert line == f"{type(result).__name__}({line.partition('(')[2][:-1]})"
     html = result._repr_html_()
-    nesting = Nesting()
-    nesting.feed(html)
-    assert nesting.open == []
+    assert html_pages.Page(html).open == []
     assert html.count("<tr>") <= MOST_ROWS + 1
     assert not any(text in html for text in ("<script", 'id=""', " object at 0x"))
     assert f"<strong>{type(result).__name__}</strong>" in html
@@ -158,20 +130,17 @@ def test_parts_of_a_trace() -> None:
     assert "paths: not kept" in repr(mistray.trace(mistray.load("coated.xml"), rays=64, ledger=False))
 
 
+QUARTER = SimpleNamespace(share_done=0.25)
+
+
 @pytest.mark.parametrize(
     ("states", "share"),
     [
-        ([(1, 4), (2, 4)], 50),
+        *(([(1, 4), (2, 4)], 50), ([("lenses", 1, 4)], 25), ([(2, "objects", 0.3)], 30)),
         ([(3, 4), (1, 4)], 75),  # a bar does not go back
         ([(3, 4), (1, 10)], 10),  # unless the plan is another one
-        ([(SimpleNamespace(share_done=0.25),)], 25),
-        ([("scatter", SimpleNamespace(share_done=0.25))], 25),
-        ([(SimpleNamespace(share_done=0.25), object())], 25),  # a step and its start
-        ([("lenses", 1, 4)], 25),
-        ([(2, "objects", 0.3)], 30),
-        ([(object(), object())], 0),
-        ([()], 0),
-        ([(0, 0)], 0),
+        *(([state], 25) for state in ((QUARTER,), ("scatter", QUARTER), (QUARTER, object()))),  # a step and its start
+        *(([state], 0) for state in ((object(), object()), (), (0, 0))),
     ],
 )
 def test_states_of_all_functions(monkeypatch: Patch, states: list[Any], share: int) -> None:

@@ -10,7 +10,7 @@ import re
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import pandas as pd
 import pytest
 import stubs
 from refusals import refused
-from result_calls import CALLS, LONG, data
+from result_calls import CALLS, LONG, data, result_classes
 from workers_here import assert_same
 
 import mistray
@@ -215,13 +215,7 @@ def test_a_saved_Validation() -> None:
 def test_every_class_of_results_was_saved() -> None:
     if {*NAMES} != RAN:
         pytest.skip("the tests above ran in another process")
-    every = {kind for kind in subclasses(Result) if kind.__module__.startswith("mistray.")}
-    assert {kind.__name__ for kind in every - SAVED} == set()
-
-
-def subclasses(kind: type) -> Iterator[type]:
-    for one in kind.__subclasses__():
-        yield from (one, *subclasses(one))
+    assert {kind.__name__ for kind in {*result_classes()} - SAVED} == set()
 
 
 @pytest.mark.usefixtures("folder")

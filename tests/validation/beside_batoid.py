@@ -39,9 +39,7 @@ class Comparison:
     def ghosts(self) -> dict[Names, tuple[Sums, Sums]]:
         return {names: sums for names, sums in self.paths.items() if self.order[names] == 2}
 
-    @property
-    def image(self) -> tuple[Sums, Sums]:
-        return next(pair for names, pair in self.paths.items() if self.order[names] == 0)
+    image = property(lambda self: next(pair for names, pair in self.paths.items() if self.order[names] == 0))
 
 
 @dataclass(frozen=True)
@@ -68,6 +66,8 @@ class Telescope:
                 setattr(optic[name], side, batoid.SimpleCoating(REFLECTANCE, 1 - REFLECTANCE))
         return optic
 
+    scene = cached_property(lambda self: self.prescription.to_scene())
+
     @cached_property
     def sequence(self) -> list[str]:
         return [*(surface.name for surface in self.prescription.surfaces), self.prescription.detector.name]
@@ -75,10 +75,6 @@ class Telescope:
     @cached_property
     def mirrors(self) -> set[str]:
         return {surface.name for surface in self.prescription.surfaces if surface.mirror}
-
-    @cached_property
-    def scene(self) -> Any:
-        return self.prescription.to_scene()
 
     def compare(self, field_deg: float, rays: int) -> Comparison:
         t = mistray.trace(self.scene, rays=rays, field_deg=field_deg, max_reflections=2, flux_threshold=1e-6)

@@ -101,6 +101,7 @@ def image(rays: int) -> list[dict[str, float]]:
 
     rows: list[dict[str, float]] = []
     barrel = checks()["relative_illumination_with_barrel"]["finite cylindrical stop wall (default)"]
+    with_stop_wall = {row[0]: row[2] for row in barrel}
     for figure in checks()["performance_R13_5p727_d"]["rows"]:
         field = float(figure["field"])
         settings = {"field_deg": field, "wavelength_nm": D_LINE_NM, "max_reflections": 0}
@@ -111,27 +112,16 @@ def image(rays: int) -> list[dict[str, float]]:
         # Points that fill the stop evenly to its rim, as no square grid does
         d = np.tile(beams.field_direction(field), (EVEN_RAYS, 1))
         points = np.column_stack([beams.disc_points(EVEN_RAYS, shipped().stop.radius), np.zeros(EVEN_RAYS)])
-        rows.append(
-            {
-                "field_deg": field,
-                "rms_um": 1e3 * row.rms_radius_mm,
-                "rms_replayed_um": _rms_um(traced),
-                "rms_even_um": _rms_um(replay(model, points - 0.3 * d, d, row.event_list, D_LINE_NM, first_hit=False)),
-                "rms_figure_um": figure["rms_um"],
-                "rays": row.rays,
-                "rays_replayed": int(traced.valid.sum()),
-                "passed": row.rays / run.rays,
-                "passed_figure": figure["passed"],
-                "chief_mm": chief(field),
-                "chief_figure_mm": figure["chief_mm"],
-                "solid_angle": solid_angle(max(field, STEP_DEG)),
-                "power_W": row.power_W,
-                "power_barrel_W": full.power_W,
-                "relative_se_barrel": full.power_se_W / full.power_W,
-                "illumination_figure": figure["RI"],
-                "barrel_figure": {row[0]: row[2] for row in barrel}[figure["field"]],
-            }
-        )
+        even = replay(model, points - 0.3 * d, d, row.event_list, D_LINE_NM, first_hit=False)
+        cells = {"field_deg": field, "rms_um": 1e3 * row.rms_radius_mm, "rms_replayed_um": _rms_um(traced)}
+        cells |= {"rms_even_um": _rms_um(even), "rms_figure_um": figure["rms_um"]}
+        cells |= {"rays": row.rays, "rays_replayed": int(traced.valid.sum())}
+        cells |= {"passed": row.rays / run.rays, "passed_figure": figure["passed"]}
+        cells |= {"chief_mm": chief(field), "chief_figure_mm": figure["chief_mm"]}
+        cells |= {"solid_angle": solid_angle(max(field, STEP_DEG)), "power_W": row.power_W}
+        cells |= {"power_barrel_W": full.power_W, "relative_se_barrel": full.power_se_W / full.power_W}
+        cells |= {"illumination_figure": figure["RI"], "barrel_figure": with_stop_wall[figure["field"]]}
+        rows.append(cells)
     first = rows[0]
     for row in rows:
         share = row["solid_angle"] / first["solid_angle"]
@@ -232,20 +222,11 @@ def on_axis(rays: int) -> list[dict[str, Any]]:
             t = mistray.trace(traced, rays=rays, wavelength_nm=wavelength_nm, max_reflections=0)
             row = image_path(t, window=True)
             power, rms, irradiance, spread = radial(DIRECT, radius, wavelength_nm, stop=name == "stop")
-            rows.append(
-                {
-                    "limit": name,
-                    "radius_mm": radius,
-                    "wavelength_nm": wavelength_nm,
-                    "power_W": power,
-                    "rms_um": 1e3 * rms,
-                    "quadrature": irradiance,
-                    "traced": row.rms_irradiance_W_mm2,
-                    "traced_se": row.rms_irradiance_se_W_mm2,
-                    "study_se": irradiance * spread / np.sqrt(NOMINAL_RAYS),
-                    "million_se": irradiance * spread / 1e3,
-                }
-            )
+            cells = {"limit": name, "radius_mm": radius, "wavelength_nm": wavelength_nm}
+            cells |= {"power_W": power, "rms_um": 1e3 * rms, "quadrature": irradiance}
+            cells |= {"traced": row.rms_irradiance_W_mm2, "traced_se": row.rms_irradiance_se_W_mm2}
+            cells |= {"study_se": irradiance * spread / np.sqrt(NOMINAL_RAYS), "million_se": irradiance * spread / 1e3}
+            rows.append(cells)
     return rows
 
 
@@ -256,19 +237,11 @@ def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
         row = strongest(table, ghost.surfaces)
         events = [tuple(event.rsplit(":", 1)) for event in row.events.split()]
         _, rms, unclipped, spread = radial(events, BEAM_RADIUS, 550.0, stop=False)
-        rows.append(
-            {
-                "surfaces": row.surfaces,
-                "study": ghost.irradiance,
-                "traced": row.rms_irradiance_W_mm2,
-                "traced_se": row.rms_irradiance_se_W_mm2,
-                "rms_um": 1e3 * row.rms_radius_mm,
-                "quadrature": radial(events, shipped().stop.radius, 550.0)[2],
-                "unclipped": unclipped,
-                "unclipped_rms_um": 1e3 * rms,
-                "study_se": unclipped * spread / np.sqrt(NOMINAL_RAYS),
-            }
-        )
+        cells = {"surfaces": row.surfaces, "study": ghost.irradiance, "rms_um": 1e3 * row.rms_radius_mm}
+        cells |= {"traced": row.rms_irradiance_W_mm2, "traced_se": row.rms_irradiance_se_W_mm2}
+        cells |= {"quadrature": radial(events, shipped().stop.radius, 550.0)[2], "unclipped": unclipped}
+        cells |= {"unclipped_rms_um": 1e3 * rms, "study_se": unclipped * spread / np.sqrt(NOMINAL_RAYS)}
+        rows.append(cells)
     return rows
 
 

@@ -41,15 +41,9 @@ COMMON = {row.label for row in (*CRITICAL, *ILLUMINATED) if row.common}
 
 
 def search(rays: int = STUDY_RAYS, total_reflection: bool = False) -> Objects:
-    return objects(
-        mistray.load("phone_camera"),
-        rays=rays,
-        # Its Table 8: the semi-diameter of its dummy surface 5 mm in front of the window; its Table 6: ±45°
-        source=DiskSource((0.0, 0.0, -5.749), 3.083, 20.0),
-        view_half_angle_deg=45.0,
-        threshold=0.0,
-        total_reflection=total_reflection,
-    )
+    # Its Table 8: the semi-diameter of its dummy surface 5 mm in front of the window; its Table 6: ±45°
+    more: dict[str, Any] = {"view_half_angle_deg": 45.0, "threshold": 0.0, "total_reflection": total_reflection}
+    return objects(mistray.load("phone_camera"), rays=rays, source=DiskSource((0.0, 0.0, -5.749), 3.083, 20.0), **more)
 
 
 def sums(found: Objects, which: str, row: Row) -> tuple[float, float, float]:
@@ -61,21 +55,16 @@ def sums(found: Objects, which: str, row: Row) -> tuple[float, float, float]:
 
 
 def names(row: Row) -> str:
-    if len(row.here) == 4:
-        return "board"
-    return " + ".join(name for name, _ in row.here) or "–"
+    return "board" if len(row.here) == 4 else " + ".join(name for name, _ in row.here) or "–"
 
 
 def common_rows(found: Objects) -> list[tuple[str, str, bool, bool]]:
     """Rows of the study in one of its tables: label, here, whether common in the study and here."""
     common = {(entry.id, entry.side) for entry in found.common}
     rows: dict[str, Row] = {row.label: row for row in (*ILLUMINATED, *CRITICAL)}
-    found_rows = []
-    for label, row in rows.items():
-        own = any(place in common for place in row.here)
-        if own or label in COMMON:
-            found_rows.append((label, names(row), label in COMMON, own))
-    return found_rows
+    own = {label: any(place in common for place in row.here) for label, row in rows.items()}
+    listed = [label for label in rows if own[label] or label in COMMON]
+    return [(label, names(rows[label]), label in COMMON, own[label]) for label in listed]
 
 
 def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any]]:
@@ -92,17 +81,10 @@ def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any
     for name, part in table[(table.scatters == 1) & (table.order == 0)].groupby("scatter_1"):
         power, se = (value / absorbed for value in traced.paths.power(list(part.path_id)))
         own = estimates[estimates.id == name]
-        rows.append(
-            {
-                "id": str(name),
-                "traced": power,
-                "traced_se": se,
-                "product": float(own.detector_W.sum()),
-                "product_se": float(np.sqrt((own.detector_W_se**2).sum())),
-                # A surface that transmits has a row for each side on which it is seen, with the same flux
-                "flux": float(own.flux_W.drop_duplicates().sum()),
-                "bsdf": float(own.bsdf_1_sr.iloc[0]) if len(own) else 0.0,
-                "gcf": float(own.gcf.iloc[0]) if len(own) else 0.0,
-            }
-        )
+        cells = {"id": str(name), "traced": power, "traced_se": se, "product": float(own.detector_W.sum())}
+        cells["product_se"] = float(np.sqrt((own.detector_W_se**2).sum()))
+        # A surface that transmits has a row for each side on which it is seen, with the same flux
+        cells["flux"] = float(own.flux_W.drop_duplicates().sum())
+        cells["bsdf"], cells["gcf"] = (float(own[key].iloc[0]) if len(own) else 0.0 for key in ("bsdf_1_sr", "gcf"))
+        rows.append(cells)
     return sorted(rows, key=lambda row: -row["traced"])

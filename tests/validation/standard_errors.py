@@ -23,13 +23,10 @@ from mistray.recorders.direction_recorder import CLASSES
 
 SEEDS = 100
 Entry = tuple[str, str, float, float]  # kind, name, value, standard error
-NUMBERS = {
-    "power": ("power_W", "power_se_W"),
-    "percent": ("percent", "percent_se"),
-    "centroid": ("y_mm", "y_se_mm"),
-    "RMS radius": ("rms_radius_mm", "rms_radius_se_mm"),
-    "RMS irradiance": ("rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"),
-}
+Entries = Iterator[Entry]
+NUMBERS = {"power": ("power_W", "power_se_W"), "percent": ("percent", "percent_se"), "centroid": ("y_mm", "y_se_mm")}
+NUMBERS["RMS radius"] = "rms_radius_mm", "rms_radius_se_mm"
+NUMBERS["RMS irradiance"] = "rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"
 SHAPES = ("centroid", "RMS radius", "RMS irradiance")
 FEW = 100  # rays, below which the shape of a path is not compared: its distribution is far from normal
 
@@ -46,7 +43,7 @@ def painted_screen(pixels: int = 8) -> mi.Scene:
     )
 
 
-def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Iterator[Entry]:
+def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Entries:
     for row in table.itertuples():
         way = f"{row.wavelength_nm if wavelength else 0:.0f} {row.events}"
         for name, (value, se) in NUMBERS.items():
@@ -54,7 +51,7 @@ def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Ite
                 yield f"{kind}{name}", way, getattr(row, value), getattr(row, se)
 
 
-def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, of: float = 0.0) -> Iterator[Entry]:
+def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, of: float = 0.0) -> Entries:
     for place in np.argwhere((value > 0) & np.isfinite(se)):
         yield kind, f"{of:g} {tuple(place.tolist())}", float(value[tuple(place)]), float(se[tuple(place)])
 
@@ -63,7 +60,7 @@ def estimate(kind: str, name: str, found: Any) -> Entry:
     return kind, name, float(found.value), float(found.se)
 
 
-def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) -> Iterator[Entry]:
+def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) -> Entries:
     t = mistray.trace(scene, seed=seed, **settings)
     yield from rows_of(t.paths.by_way())
     yield from pixels_of("pixel", t.irradiance, t.irradiance_se)
@@ -81,7 +78,7 @@ def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) ->
     yield from (entry for entry in rows_of(middle, "box ") if "box power" in entry or "box percent" in entry)
 
 
-def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settings: Any) -> Iterator[Entry]:
+def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settings: Any) -> Entries:
     report = mistray.ghosts(scene, field_deg=field_deg, seed=seed, **settings)
     yield estimate("ghost summary", "nominal power", report.nominal.power_W)
     yield estimate("ghost summary", "nominal radius", report.nominal.rms_radius_mm)
@@ -104,14 +101,14 @@ def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settin
             yield "ghost scatter surface", f"{field:g} {row.surface}", row.power_W, row.power_se_W
 
 
-def of_image(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
+def of_image(scene: mi.Scene, seed: int, **settings: Any) -> Entries:
     t = mistray.trace(scene, seed=seed, **settings)
     yield estimate("trace metric", "ghost to signal", glare.ghost_to_signal(t)[0])
     spread = glare.glare_spread(t)
     yield from pixels_of("trace metric pixel", spread.value, spread.se)
 
 
-def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **settings: Any) -> Iterator[Entry]:
+def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **settings: Any) -> Entries:
     more = {"map_pixels": maps} if maps else {}
     p = mistray.pst(scene, field_deg=angles, seed=seed, **more, **settings)
     for name in ("total", *CLASSES):
@@ -139,7 +136,7 @@ def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **set
             yield from pixels_of("PST pixel", *p.irradiance(angle), angle)
 
 
-def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
+def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Entries:
     found = mistray.objects(scene, seed=seed, **settings)
     for which in ("critical", "illuminated"):
         for row in getattr(found, which):
@@ -155,9 +152,7 @@ def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
             yield "object PST", name, row.pst, row.pst_se
 
 
-def of_gradient(
-    scene: mi.Scene, seed: int, keys: list[str], chosen: tuple[str, ...], **settings: Any
-) -> Iterator[Entry]:
+def of_gradient(scene: mi.Scene, seed: int, keys: list[str], chosen: tuple[str, ...], **settings: Any) -> Entries:
     params = mi.traverse(scene)
     made: dict[str, Callable[..., metrics.Metric]] = {
         "ghost power": metrics.path_power, "ghost to signal": metrics.ghost_to_signal,
@@ -172,7 +167,7 @@ def of_gradient(
                     yield "gradient", f"{name} {key} {k}", value, g.standard_error[key][k]
 
 
-def of_thermal(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
+def of_thermal(scene: mi.Scene, seed: int, **settings: Any) -> Entries:
     report = mistray.thermal(scene, seed=seed, **settings)
     for e in report.emitters:
         if e.hits >= FEW:
@@ -188,7 +183,7 @@ def of_thermal(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
 class Case:
     """What is repeated: entries of a scene, shipped (by name) or made, at some settings."""
 
-    entries: Callable[..., Iterator[Entry]]
+    entries: Callable[..., Entries]
     scene: str | Callable[[], mi.Scene]
     settings: dict[str, Any]
 
@@ -196,37 +191,30 @@ class Case:
         return mistray.load(self.scene) if isinstance(self.scene, str) else self.scene()
 
 
+def case(entries: Callable[..., Entries], scene: str | Callable[[], mi.Scene], **settings: Any) -> Case:
+    return Case(entries, scene, settings)
+
+
 TRIPLET, SCATTERED, GAUSS = "cooke_triplet", "newtonian_scatter", "double_gauss"
 KEYS = ["*.bsdf.R", "*curvature", "*semi_diameter"]
-LIMITS = {"rays": 4000, "max_reflections": 2}
+LIMITS = {"keys": KEYS, "rays": 4000, "max_reflections": 2}
+LIGHT = ("ghost power", "ghost to signal", "peak", "transmission")
 SPOT = "gradients of a spot"
 CASES = {
-    "scattered paths": Case(
-        of_trace, SCATTERED, {"rays": 5000, "field_deg": 5.0, "max_reflections": 1, "max_scatters": 2}
-    ),
-    "painted screen": Case(of_trace, painted_screen, {"rays": 2000, "aimed_rays": 16}),
-    "ghost paths": Case(of_trace, GAUSS, {"rays": 4000, "field_deg": 5.0, "wavelength_nm": [480.0, 550.0, 650.0]}),
-    "ghost report, two wavelengths": Case(
-        of_ghosts, GAUSS, {"field_deg": (0.0, 8.0), "rays": 6000, "wavelength_nm": [500.0, 600.0]}
-    ),
-    "ghost report, scatter": Case(
-        of_ghosts, SCATTERED, {"field_deg": (0.0,), "rays": 4000, "max_scatters": 1, "max_reflections": 1}
-    ),
-    "ghost report": Case(of_ghosts, TRIPLET, {"field_deg": (0.0, 5.0), "rays": 4000}),
-    "glare of a trace": Case(of_image, TRIPLET, {"rays": 4000, "field_deg": 3.0}),
-    "PST": Case(of_pst, TRIPLET, {"angles": [0.0, 4.0, 8.0, 12.0, 16.0, 20.0], "maps": 8, "rays": 60_000}),
-    "PST with the light": Case(
-        of_pst, TRIPLET, {"angles": [0.0, 6.0, 12.0, 18.0], "maps": 8, "rays": 2000, "method": "forward"}
-    ),
-    "objects at two angles": Case(of_objects, "phone_camera_scatter", {"rays": 20_000, "field_deg": [0.0, 10.0]}),
-    "objects": Case(of_objects, SCATTERED, {"rays": 20_000}),
-    "gradients": Case(
-        of_gradient,
-        "singlet_window_detector",
-        {"keys": KEYS, "chosen": ("ghost power", "ghost to signal", "peak", "transmission"), **LIMITS},
-    ),
-    SPOT: Case(of_gradient, "singlet_window_detector", {"keys": KEYS, "chosen": ("spot",), **LIMITS}),
-    "thermal": Case(of_thermal, "cassegrain", {"rays": 4000}),
+    "scattered paths": case(of_trace, SCATTERED, rays=5000, field_deg=5.0, max_reflections=1, max_scatters=2),
+    "painted screen": case(of_trace, painted_screen, rays=2000, aimed_rays=16),
+    "ghost paths": case(of_trace, GAUSS, rays=4000, field_deg=5.0, wavelength_nm=[480.0, 550.0, 650.0]),
+    "ghost report, two wavelengths": case(of_ghosts, GAUSS, field_deg=(0, 8), rays=6000, wavelength_nm=[500.0, 600.0]),
+    "ghost report, scatter": case(of_ghosts, SCATTERED, field_deg=(0,), rays=4000, max_scatters=1, max_reflections=1),
+    "ghost report": case(of_ghosts, TRIPLET, field_deg=(0.0, 5.0), rays=4000),
+    "glare of a trace": case(of_image, TRIPLET, rays=4000, field_deg=3.0),
+    "PST": case(of_pst, TRIPLET, angles=[0.0, 4.0, 8.0, 12.0, 16.0, 20.0], maps=8, rays=60_000),
+    "PST with the light": case(of_pst, TRIPLET, angles=[0.0, 6.0, 12.0, 18.0], maps=8, rays=2000, method="forward"),
+    "objects at two angles": case(of_objects, "phone_camera_scatter", rays=20_000, field_deg=[0.0, 10.0]),
+    "objects": case(of_objects, SCATTERED, rays=20_000),
+    "gradients": case(of_gradient, "singlet_window_detector", chosen=LIGHT, **LIMITS),
+    SPOT: case(of_gradient, "singlet_window_detector", chosen=("spot",), **LIMITS),
+    "thermal": case(of_thermal, "cassegrain", rays=4000),
 }
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from oracles.statistics import z_limit
-from validation import phone_camera_objects, phone_camera_pst
 from validation import phone_camera_objects as study
+from validation import phone_camera_pst
 from validation.tables import read, value
 
 from mistray.analyses.validate.packs.known import PACKS
@@ -96,18 +96,13 @@ PST_RAYS, BEAM_RAYS = 100_000, 10_000
 
 
 @pytest.fixture(scope="module")
-def scene():
-    return phone_camera_pst.scene()
-
-
-@pytest.fixture(scope="module")
-def curve(scene):
-    return phone_camera_pst.curve(scene, PST_RAYS)
+def curve():
+    return phone_camera_pst.curve(phone_camera_pst.scene(), PST_RAYS)
 
 
 def test_the_notebook_has_the_rays_of_the_page_of_objects():
     """Tables 7 and 9 were typed twice, by different hands: here they are found in the notebook and beside the page."""
-    for name, rows in (("TABLE_7", phone_camera_objects.CRITICAL), ("TABLE_9", phone_camera_objects.ILLUMINATED)):
+    for name, rows in (("TABLE_7", study.CRITICAL), ("TABLE_9", study.ILLUMINATED)):
         assert sum(rays for _, _, rays in phone_camera_pst.study()[name]) == sum(row.rays for row in rows)
 
 
