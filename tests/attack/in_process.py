@@ -155,8 +155,9 @@ def bombs(worker: Worker, seed: int) -> Cases:
     def run(name: str, content: bytes) -> str:
         worker.close()  # whose memory is measured
         (worker.folder / name).write_bytes(content)
-        more = ("-o", "bombed.xml", "--force") if name[-4:] != ".xml" else ("--rays", "20")
-        answer = worker.run(("ghosts" if name[-4:] == ".xml" else IMPORT, name, *more), 30.0)
+        ending = Path(name).suffix
+        job = "ghosts FILE --rays 20" if ending == ".xml" else KINDS[ending].job
+        answer = worker.run(job.replace("FILE", name).split(), 30.0)
         large = answer.get("peak_MB", 0.0) > 2500.0
         return complaint(answer) or (f"took {answer['peak_MB']:.0f} MB" if large else "")
 
