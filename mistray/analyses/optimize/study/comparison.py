@@ -123,7 +123,7 @@ class ComparisonRow:
     """
     Mean of a term over the seeds before and after optimisation, in `unit`; both designs trace the same rays.
 
-    `ratio` is before over after: above 1 if the value is lower after optimisation.
+    `ratio` is before over after: above 1 if the value is lower after optimisation, NaN if it is 0 then.
     """
 
     term: str = column("name of the term")
