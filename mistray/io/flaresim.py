@@ -426,10 +426,11 @@ def _check_focus(file: _File, efl: float, bfl: float) -> None:
 
 def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
     """
-    Return the lens with its image at the least axial rms spot, or at the paraxial focus if they differ much.
+    Return the lens with its image at the least axial rms spot, or else at the paraxial focus.
 
-    If the focus lies just before the last surface, the image lies on that. Raise `MistrayError` if no axial ray reaches
-    the image, or the focus lies before the last surface.
+    The latter is taken if they differ much, or if the spot lies before the last surface. If the chosen focus lies just
+    before that surface, the image lies on the surface. Raise `MistrayError` if no axial ray reaches the image, or the
+    focus lies farther inside.
     """
     data = first_order(lens)
     height = 0.5 * data.epd * np.sqrt((np.arange(_AXIS_RAYS) + 0.5) / _AXIS_RAYS)  # equal shares of the light

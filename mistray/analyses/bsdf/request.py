@@ -24,7 +24,11 @@ EVENTS = ("reflection", "transmission")
 
 @dataclass(frozen=True)
 class SmallDetector(Request):
-    """Small detector, for the probability that rays scattered without aiming hit it."""
+    """
+    Small detector, for the probability that rays scattered without aiming hit it.
+
+    Its angle is in degrees, its solid angle in sr, and `hit_before` is a probability up to 1.
+    """
 
     hit_deg: float = field(
         FIELD_DEG, MISSING, "angle of the detector with the normal, at the first angle of incidence", metavar="DEG"
@@ -35,7 +39,11 @@ class SmallDetector(Request):
 
 @dataclass(frozen=True)
 class BsdfRequest(Request):
-    """Light, materials and angles for which a scatter model is evaluated."""
+    """
+    Light, materials and angles for which a scatter model is evaluated.
+
+    Angles are in degrees, the wavelength in nm; `R` and `T` are fractions of the incident light, 0 … 1.
+    """
 
     angles_deg: tuple[float, ...] = field(Each(POLAR_DEG), (0.0, 15.0, 30.0, 45.0, 60.0, 75.0), "angles of incidence")
     rotations_deg: tuple[float, ...] | None = field(

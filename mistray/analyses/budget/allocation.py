@@ -75,7 +75,11 @@ class PowerCost(Request):
 
 @dataclass(frozen=True)
 class StepCost(Request):
-    """Cost of a few grades of a parameter that a supplier offers; values between them are not available."""
+    """
+    Cost of a few grades of a parameter that a supplier offers; values between them are not available.
+
+    `values` ascend, in the unit of the parameter, and `costs` fall; they may be in any unit.
+    """
 
     values: tuple[float, ...] = field(
         Each(FINITE), MISSING, "instead of best, worst and cost: grades that can be ordered, ascending"

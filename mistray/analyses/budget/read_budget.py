@@ -34,7 +34,11 @@ class Requirement(Request):
 
 @dataclass(frozen=True)
 class Grades(Request):
-    """Section ``[[choose]]`` of a budget file: surfaces, the parameter to be chosen on each, its range and its cost."""
+    """
+    Section ``[[choose]]`` of a budget file: surfaces, the parameter to be chosen on each, its range and its cost.
+
+    `best` and `worst` are in the unit of the parameter; `best`, the smaller one, scatters least.
+    """
 
     surfaces: tuple[str, ...] = field(
         Several(TEXT), MISSING, "ids of shapes, or patterns such as `L*_front`; each surface gets a number of its own"

@@ -84,7 +84,7 @@ def coating_figure(
     from_front: bool = True,
 ) -> Figure:
     """
-    Draw the reflectance of one coating: R(λ) at several angles on the left, R(θ) at three wavelengths on the right.
+    Draw the reflectance of one coating, %: R(λ) at several angles on the left, R(θ) at three wavelengths on the right.
 
     Parameters
     ----------
@@ -138,7 +138,9 @@ def surfaces_figure(
     surfaces: Sequence[CoatedSurfaces], wavelengths_nm: Sequence[float], angles_deg: Sequence[float]
 ) -> Figure:
     """
-    Draw R(λ) at several angles and R(θ) at the middle wavelength for the surfaces of a scene, one row per group.
+    Draw the reflectance, %, of the surfaces of a scene, one row per group.
+
+    R(λ) is on the left at several angles, R(θ) on the right at the middle wavelength.
 
     Parameters
     ----------

@@ -71,7 +71,11 @@ def path_detail(
 
 
 def _power(guess: Guess, of: Traced, row: int) -> float:
-    """Return the power of a path, W, in an estimate, whose field may have other paths; 0 if it does not have it."""
+    """
+    Return the power, W, that an estimate gives to the path in row `row` of ``of.ways``.
+
+    It is 0 if the estimate, which may be of another field, does not have that path.
+    """
     path = of.ways.iloc[row]
     ways = guess.ways
     return float(ways.power_W[(ways.source == path.source) & (ways.events == path.events)].sum())

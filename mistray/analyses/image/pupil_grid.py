@@ -43,7 +43,7 @@ class ImageFrame:
     axes : (3, 3) float64
         Unit vectors as columns: x (sagittal), y (tangential), z along the light.
     curvature : float
-        Curvature of the reference sphere, 1/mm; 0 for a plane.
+        Curvature of the reference sphere, 1/mm: above 0 if the exit pupil lies before the image, 0 for a plane.
     """
 
     point: Array

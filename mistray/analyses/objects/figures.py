@@ -40,7 +40,8 @@ def groups(found: Objects) -> dict[str, str]:
     """
     Return the colour group (a key of `STYLES`) of each shape by id; its sides count together.
 
-    A shape is "common" if one of its sides is, else "apart" if it is both seen and lit, on different sides or places.
+    A shape is "common" if one of its sides is, else "optics" if it is on the design path. Else it is "apart" if it is
+    both seen and lit, on different sides or places.
     """
     seen = {row.id for row in found.critical}
     lit = {row.id for row in found.illuminated}

@@ -195,7 +195,12 @@ class Places:
         return f"before {names[0]}" if gap == 0 else f"{names[gap - 1]} – {names[gap]}"
 
     def against_stop(self, part: str, gap: int, along: float) -> str:
-        """Return the place of an object relative to the aperture stop: "before", "after", "stop", or "" if unknown."""
+        """
+        Return the place of an object relative to the aperture stop: "before", "after", "stop", or "" if unknown.
+
+        The object belongs to part `part` and lies in gap `gap`; `along` is its distance along the base ray from the
+        start of that gap, mm, as from `Places.along`.
+        """
         if self.stop is None:
             return ""
         if part == self.stop.part:

@@ -110,7 +110,7 @@ class ScatterEstimate:
     Estimate of the flux that one side of an object scatters to the detector, W, for a beam of 1 W/mm².
 
     It is Φ · BSDF · π · GCF, with the incident flux Φ, W, and the geometric configuration factor GCF: the projected
-    solid angle of the detector over π.
+    solid angle of the detector over π. `gcf` and `pst` are dimensionless, `percent` is in %.
     """
 
     angle_deg: float = column(

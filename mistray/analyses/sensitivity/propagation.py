@@ -15,7 +15,11 @@ from mistray.toolkit.rows import column
 
 @dataclass(frozen=True)
 class Contribution:
-    """Contribution of one parameter, or of several that vary together, to the variance of ln(metric)."""
+    """
+    Contribution of one parameter, or of several that vary together, to the variance of ln(metric).
+
+    `change` is that of ln(metric) when all of them change by one tolerance. `share` is a fraction of the variance.
+    """
 
     name: str = column("label of the parameter, or the pattern that the group was asked for by")
     members: tuple[str, ...] = column("labels of the parameters")

@@ -70,7 +70,12 @@ class Line:
 
 @dataclass(frozen=True)
 class SensitivityRow:
-    """Parameter and its effect on the metric; standard errors include the bias by boundary zones at rims."""
+    """
+    Parameter and its effect on the metric; standard errors include the bias by boundary zones at rims.
+
+    `value`, `low`, `high`, `tolerance` and `to_value` are in `unit`. `change` is that of ln(metric) per tolerance, and
+    `to_factor` is above 1 if `to_value` lowers the metric.
+    """
 
     line: Line
     label: str = column("label of its line, see `Line`", head="parameter")

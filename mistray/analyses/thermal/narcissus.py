@@ -43,8 +43,8 @@ class NarcissusReturn:
     """
     Light from the detector that one surface reflects back to it, with its narcissus temperature difference, K.
 
-    `by_zone_K` is `with_shield_K` of each zone of the detector, from the middle to the edge, see
-    `ThermalReport.zones_mm`.
+    The difference is positive where the detector sees something cold. `emission` is dimensionless. `by_zone_K` is
+    `with_shield_K` of each zone of the detector, from the middle to the edge, see `ThermalReport.zones_mm`.
     """
 
     surface: str = column(

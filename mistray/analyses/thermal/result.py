@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Emitter:
-    """Surface or medium with the irradiance that its thermal light causes on the detector, W/mm²."""
+    """
+    Surface or medium with the irradiance that its thermal light causes on the detector, W/mm².
+
+    `share` and `emission` are dimensionless. `percent` is its part of the irradiance by all emitters, %.
+    """
 
     name: str = column("Surface id, or the material of a medium", head="emitter")
     part: str = column('Part that a surface belongs to; "" for a medium', empty="(medium)")

@@ -17,7 +17,12 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PixelResponse(Request):
-    """Transfer function of a detector: product of pixel aperture, charge diffusion and a measured curve, if given."""
+    """
+    Transfer function of a detector: product of pixel aperture, charge diffusion and, if given, a measured curve.
+
+    `pixel_mm` and `diffusion_mm` are lengths, mm: 0 means pixels that are points, and no diffusion. The frequencies of
+    `table` are in 1/mm.
+    """
 
     pixel_mm: float | tuple[float, ...] = field(
         Each(RADIUS_MM),

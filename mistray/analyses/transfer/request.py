@@ -80,7 +80,11 @@ class TransferRequest(Request):
 
 @dataclass(frozen=True)
 class SurfaceTransferRequest(Request):
-    """Request for a surface transfer function: light at a rough surface."""
+    """
+    Request for a surface transfer function: light at a rough surface.
+
+    The wavelength is in nm, in vacuum; `n_in` is the index on the side that the light comes from.
+    """
 
     wavelength_nm: float = field(WAVELENGTH_NM, MISSING, "vacuum wavelength, nm")
     event: str = field(Words(("reflection", "transmission")), "reflection", "event whose light makes the image")

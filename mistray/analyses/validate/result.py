@@ -20,7 +20,7 @@ UNJUDGED = (NOT_ASKED, TOO_FEW)  # neither an agreement nor a difference
 
 @dataclass(frozen=True)
 class ComparedRow:
-    """Published number beside mistray's, with the verdict."""
+    """Published number beside mistray's, both in `unit`, with the largest difference allowed and the verdict."""
 
     pack: str = column("pack that the row belongs to")
     name: str = column("number that is compared", head="number")

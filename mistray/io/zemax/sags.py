@@ -89,9 +89,10 @@ class SagNumbers:
 
     def series(self) -> tuple[float, tuple[float, ...]]:
         """
-        Remove and return the normalisation radius (lens units; 1 without terms) and the terms in the extra data.
+        Remove and return the normalisation radius, in lens units, and the terms in the extra data.
 
-        Raise `MistrayError` if there are terms without a positive radius.
+        Without terms a radius of 0, or none, is returned as 1. Raise `MistrayError` if there are terms without a
+        positive radius.
         """
         count = self.extra.pop(1, 0.0)
         radius = self.extra.pop(2, 0.0)

@@ -109,7 +109,7 @@ def spider(
 
 def _least_inner_radius(vanes: int, half: float, offset: float) -> float:
     """
-    Return the distance along neighbouring vanes at which they part, mm; below 0 if none of them meet.
+    Return the distance along neighbouring vanes at which they part, mm; 0 or below if none of them meet.
 
     `half` is half the thickness and `offset`, at least 0, the distance of their middle planes from the axis, mm.
     """

@@ -25,7 +25,11 @@ ABSENT_BELOW_0 = ("space",)  # columns whose negative numbers say that there is 
 
 
 def heading_of(column: str) -> tuple[str, str]:
-    """Return the heading and the unit of a column from its name: "z_mm" → "z", "mm"; the unit is empty without one."""
+    """
+    Return the heading and the unit of a column from its name: "z_mm" → "z", "mm".
+
+    The unit is empty without one. A name that is only a unit has the heading "share".
+    """
     name, unit = unit_of(column)
     words = [ABBREVIATIONS.get(word, word) for word in name.split("_") if word]
     return " ".join(words) or "share", unit

@@ -51,5 +51,9 @@ def photometric_section(report: GhostReport) -> Section | None:
 
 
 def _highest(field: float, where: str, what: str, value: np.ndarray, se: np.ndarray, unit: str) -> list[Value]:
-    """Return the table row of the brightest cell of a map, with value, standard error and unit, as plain text."""
+    """
+    Return a table row of the brightest cell of a map, whose values, errors and unit are `value`, `se` and `unit`.
+
+    `field` is the field angle, degrees, `where` the name of the detector, recorder or surface, `what` the quantity.
+    """
     return [f"{field:g}", where, what, highest_cell(value, se)[1], unit]

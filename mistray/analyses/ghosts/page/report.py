@@ -190,7 +190,11 @@ def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
 
 
 def _summary(report: GhostReport, shown: GhostReport, per_wavelength: bool) -> list[PagePart]:
-    """Return the statistics of every field as page parts; with `per_wavelength` those at each wavelength are added."""
+    """
+    Return the statistics of every field as page parts; fields in `shown` also have their peak irradiance.
+
+    With `per_wavelength` the statistics at each wavelength are added.
+    """
     nominal = report.nominal
     text = (
         f"Nominal image (on axis, direct): {with_error(nominal.power_W)} W absorbed, "

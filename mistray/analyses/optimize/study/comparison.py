@@ -120,7 +120,11 @@ class Levels(Result, table="..tables:levels_table", figure="..figures:levels_fig
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonRow:
-    """Mean of a term over the seeds before and after optimisation; both designs trace the same rays."""
+    """
+    Mean of a term over the seeds before and after optimisation, in `unit`; both designs trace the same rays.
+
+    `ratio` is before over after: above 1 if the value is lower after optimisation, NaN if it is 0 then.
+    """
 
     term: str = column("name of the term")
     unit: str = column("unit of the values")

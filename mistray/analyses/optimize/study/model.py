@@ -117,7 +117,7 @@ class Term(Request):
 @dataclass(frozen=True)
 class Moved(Request):
     """
-    Scene parameter that a variable of a study moves, with the factor from variable to parameter, and a pivot.
+    Scene parameter that a variable of a study moves, with the factor from variable to parameter, and a pivot, mm.
 
     Examples
     --------

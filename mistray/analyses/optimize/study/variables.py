@@ -186,7 +186,11 @@ class Variables:
         return np.array([v.value(float(share)) for v, share in zip(self.variables, y, strict=True)])
 
     def shares(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return the fractions of the way from low to high bound, (n,), for values (n,); inverse of `values`."""
+        """
+        Return the fractions of the way from low to high bound, (n,), for values (n,), clipped to 0 … 1.
+
+        Between the bounds it is the inverse of `values`.
+        """
         return np.array([v.share(float(value)) for v, value in zip(self.variables, x, strict=True)])
 
     def parameters(self, x: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:

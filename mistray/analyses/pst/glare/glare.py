@@ -130,7 +130,7 @@ def glare_cells(
     Returns
     -------
     black : (n, m) float64
-        Factor of the PST of each cell in E_black.
+        Factor of the PST of each cell in E_black, W/mm², for a source of radiance 1 W/(mm² sr).
     white : Cover
         Cover with the factors in E_white, of all light.
     light : str

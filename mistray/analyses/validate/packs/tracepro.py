@@ -12,7 +12,11 @@ RAW_INTEGRAL = 0.015552516  # of the sheet, by which it normalises
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which mistray computes the sheet's A, B, g or TIS; the parameters are unused."""
+    """
+    Return the function by which mistray computes the sheet's A (1/sr), B, g or TIS; the parameters are unused.
+
+    B, g and TIS are dimensionless.
+    """
     sheet = abg.abg_from_rms(**INPUT, raw_integral=RAW_INTEGRAL)
 
     def number(row: DeclaredRow) -> Estimate:
