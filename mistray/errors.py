@@ -126,7 +126,8 @@ def foreign_errors(owner: str, remedy: str) -> Iterator[None]:
     except MistrayError:
         raise
     except Exception as error:  # packages raise all kinds
-        reason = printable((str(error).strip() or type(error).__name__).splitlines()[0][:TOO_LONG])
+        missing = " is missing" if isinstance(error, KeyError) else ""
+        reason = printable((str(error).strip() or type(error).__name__).splitlines()[0][:TOO_LONG]) + missing
         raise MistrayError(f"{owner}: {reason}; {remedy}") from None
 
 
