@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from enum import Enum
@@ -220,10 +221,11 @@ def documented(plugin: type) -> type:
     lines = []
     for names, param in grouped(plugin.properties):  # type: ignore[attr-defined]
         usual = param.usual if param.usual == REQUIRED.value else f"default {param.usual}"
-        lines.append(f"    {title_of(names)} : {'; '.join(filter(None, [param.unit, param.allowed, usual]))}")
-        lines.append(f"        {param.doc}{' (differentiable)' if param.moves else ''}")
-    if plugin.__doc__:  # python -OO has none
-        plugin.__doc__ = plugin.__doc__.replace(f"    {PLACE}", "\n".join(lines))
+        lines.append(f"{title_of(names)} : {'; '.join(filter(None, [param.unit, param.allowed, usual]))}")
+        lines.append(f"    {param.doc}{' (differentiable)' if param.moves else ''}")
+    if plugin.__doc__:  # python -OO has none, and since 3.13 its lines are not indented
+        listed = re.compile(f"^( *){re.escape(PLACE)}", re.MULTILINE)
+        plugin.__doc__ = listed.sub(lambda found: "\n".join(found[1] + line for line in lines), plugin.__doc__)
     return plugin
 
 

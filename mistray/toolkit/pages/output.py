@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -35,7 +36,9 @@ def writable_directory(directory: str | Path) -> Path:
     with told(directory):
         if not str(directory):
             raise MistrayError("output directory '' has no name; name a directory, or '.' for the current one")
-        target = Path(directory).expanduser().resolve()
+        target = Path(os.path.realpath(Path(directory).expanduser()))
+        if target.is_symlink():  # what is left of links that lead in a circle
+            raise MistrayError(f"output directory '{directory}' is a link that leads to itself; name a directory")
         if target.exists() and not target.is_dir():
             raise MistrayError(f"output directory '{directory}' is a file; name a directory")
         with tempfile.TemporaryFile(dir=nearest_directory(target)) as probe:
