@@ -14,6 +14,7 @@ import pytest
 import stubs
 import tiers
 from command_line import fails
+from mutations import FAULTS
 
 import mistray
 
@@ -146,3 +147,10 @@ class TestEverythingIsTested:
         names = {n for m in modules for n in getattr(m, "__all__", ()) if inspect.isfunction(getattr(m, n))}
         assert len(names) > 100
         assert names - set(re.findall(r"\w+", sources())) == set()
+
+    def test_faults_are_of_lines_that_are_there(self) -> None:
+        """`python tests/mutations.py` can put each of them into the program."""
+        found = {
+            name: (ROOT / fault.file).read_text(encoding="utf-8").count(fault.right) for name, fault in FAULTS.items()
+        }
+        assert found == dict.fromkeys(FAULTS, 1)
