@@ -68,7 +68,7 @@ def test_every_path_has_its_power() -> None:
     direct = max(lengths.power.values(), key=lambda histogram: float(histogram.sum()))
     lit = np.flatnonzero(direct)
     low, high = lengths.low + lengths.step * lit[0], lengths.low + lengths.step * (lit[-1] + 1)
-    rays = t.rays(n=4000)
+    rays = t.rays(n=8000)
     opl = rays.loc[rays["kind"] == "direct", "opl_mm"]
     assert len(opl) > 100
     assert opl.min() >= low - lengths.step

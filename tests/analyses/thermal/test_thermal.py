@@ -357,6 +357,9 @@ def test_media_absorb_and_walls_emit(load: Load) -> None:
     assert slab.irradiance_W_mm2.se < 0.01 * expected
     assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
     assert f"({other})" in report.by_part()
+
+
+def test_emissivity_is_what_is_neither_reflected_nor_transmitted(load: Load) -> None:
     sheets = {"dark": (0.1, 0.0), "half": (0.1, 0.5), "clear": (0.25, 0.75)}
     shapes = [
         placed_xml("asphere", name, interface_xml(R=R, T=T), at=(0, 0, -9 + k), semi_diameter=1.0)
