@@ -190,3 +190,31 @@ def peek(params: Any, key: str) -> Any:
     """
     value, kind, node, _ = params.properties[key]
     return value if kind is None else params.get_property(value, kind, node)
+
+
+class _NoScene:
+    """Stand-in for a scene, which is not told of changes."""
+
+    def parameters_changed(self, keys: list[str]) -> None:
+        pass
+
+
+def without_scene_update(params: Any) -> Any:
+    """
+    Return scene parameters whose changes reach the plugins, but not the scene itself.
+
+    Mitsuba's scene builds its tree of triangles again at each change of a mesh, which takes longer than a small trace.
+    Traces do not use the tree. It and the bounding box of the scene stay as they were, so that such a scene serves for
+    traces only.
+
+    Parameters
+    ----------
+    params : mi.SceneParameters
+        Parameters of a scene, from ``mi.traverse``.
+    """
+    found, nobody = params.copy(), _NoScene()
+    (root,) = (node for node, (parent, _) in found.hierarchy.items() if parent is None)
+    found.hierarchy = {
+        node: (nobody if parent is root else parent, depth) for node, (parent, depth) in found.hierarchy.items()
+    } | {nobody: (None, 0)}
+    return found

@@ -126,7 +126,8 @@ def foreign_errors(owner: str, remedy: str) -> Iterator[None]:
     except MistrayError:
         raise
     except Exception as error:  # packages raise all kinds
-        missing = " is missing" if isinstance(error, KeyError) else ""
+        key = error.args[0] if isinstance(error, KeyError) and len(error.args) == 1 else ""
+        missing = " is missing" if isinstance(key, str) and key and " " not in key else ""
         reason = printable((str(error).strip() or type(error).__name__).splitlines()[0][:TOO_LONG]) + missing
         raise MistrayError(f"{owner}: {reason}; {remedy}") from None
 

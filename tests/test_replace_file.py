@@ -122,7 +122,7 @@ def test_what_is_no_file_is_written_to(tmp_path: Path) -> None:
     assert pipe.is_fifo()
 
 
-@pytest.mark.parametrize("place", ["file", "file/below", "loop", "a" * 300, "dev"])
+@pytest.mark.parametrize("place", ["file", "file/below", "loop", "loop/below", "a" * 300, "dev"])
 def test_places_that_cannot_be_written(tmp_path: Path, place: str) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "loop").symlink_to("loop")

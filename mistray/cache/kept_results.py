@@ -25,7 +25,7 @@ def kept(
     Return a result from the cache on disk, or compute it and store it there.
 
     The code is part of the key, so that a stored result equals a computed one. If the cache cannot be read or written,
-    the result is computed every time, and a line in the log reports that once in a process.
+    or its folder or size is not valid, the result is computed every time; the log reports that once in a process.
 
     Parameters
     ----------

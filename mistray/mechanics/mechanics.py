@@ -199,7 +199,11 @@ class Mechanics:
 
     @cached_property
     def _bands(self) -> dict[str, list[RevolvedBand]]:
-        return {part.name: bands(part) for part in self.parts}
+        """Bands of one finish and optical space, which can be exact, by part."""
+        return {
+            part.name: [band for band in bands(part) if len({self._look(part, face) for face in band.faces}) == 1]
+            for part in self.parts
+        }
 
     def _built(self) -> list[tuple[Structure | MeshStructure, bytes | None]]:
         """
@@ -218,7 +222,7 @@ class Mechanics:
             looks = {int(face): self._look(part, int(face)) for face in np.unique(part.faces)}
             free = np.ones(len(part.triangles), dtype=bool)
             for band in found[part.name]:
-                if band.area < least or left == 0 or len({looks[face] for face in band.faces}) > 1:
+                if band.area < least or left == 0:
                     continue
                 left -= 1
                 free[band.triangles] = False

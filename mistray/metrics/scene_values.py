@@ -38,36 +38,6 @@ def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
     params.update()
 
 
-def without_triangles(params: Any) -> Any:
-    """
-    Return parameters whose changes reach the shapes of a scene, but not its tree of triangles.
-
-    Mitsuba builds that tree again at each change of a mesh, which takes longer than a small trace. Only its own
-    integrators use it: nothing else may be done with such a scene than to trace it.
-
-    Parameters
-    ----------
-    params : mi.SceneParameters
-        Parameters of the scene.
-    """
-    other = params.copy()
-    roots = [node for node, (parent, _) in other.hierarchy.items() if parent is None]
-    other.hierarchy = {
-        node: (_NO_SCENE if parent in roots else parent, depth) for node, (parent, depth) in other.hierarchy.items()
-    } | {_NO_SCENE: (None, 0)}
-    return other
-
-
-class _NoScene:
-    """Stand-in for a scene, which is not told of changes."""
-
-    def parameters_changed(self, keys: list[str]) -> None:
-        pass
-
-
-_NO_SCENE = _NoScene()
-
-
 @contextlib.contextmanager
 def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
     """

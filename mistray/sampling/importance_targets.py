@@ -108,7 +108,7 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
 
 
 def source_facts(scene: mi.Scene) -> str:
-    """Return what may change at the source plugins of a scene, as text; Mitsuba's own emitters are left out."""
+    """Return the attributes `_OF_SOURCES` of the sources of a scene, as text; "" where one has no such attribute."""
     facts = [getattr(emitter, key, "") for emitter in scene.emitters() for key in _OF_SOURCES]
     return repr([fact.tobytes() if isinstance(fact, np.ndarray) else fact for fact in facts])
 
@@ -124,6 +124,7 @@ def _table_facts(table: SurfaceTable) -> str:
         table.optics.host_words.tobytes(),
         table.optics.host_scattering.tobytes(),
         np.array(table.optics.extinction).tobytes(),
+        table.optics.mostly_reflects.tobytes(),
         table.mitsuba_hash,
     ]
     return hashlib.sha256(repr(facts).encode()).hexdigest()

@@ -11,10 +11,10 @@ import numpy as np
 
 from mistray.cache import kept
 from mistray.kernel.targets import Inside, Place, Target
-from mistray.scene.allowed_plugins import foreign_plugins
 from mistray.time_budget import is_limited
 
-MANY = 8  # a search for fewer surfaces takes no longer than a hash of the code, 0.05 s
+FEWEST = 8  # surfaces that scatter: a search for fewer takes no longer than a hash of the code, 0.05 s
+STATED = ("asphere", "frustum", "collimated")  # plugins of which plain attributes say all that a search depends on
 
 Targets = dict[Place, list[Target]]
 
@@ -26,17 +26,38 @@ def kept_targets(scene: mi.Scene, surfaces: Sequence[int], key: str, search: Cal
     Parameters
     ----------
     scene : mi.Scene
-        Loaded scene. If it has plugins from elsewhere, whose code may change, nothing is read or stored.
+        Loaded scene. If it has shapes or sources other than those in `STATED`, targets are always searched.
     surfaces : sequence of int
-        Surfaces that scatter. For fewer than `MANY` the targets are always searched.
+        Surfaces that scatter. For fewer than `FEWEST` the targets are always searched.
     key : str
-        Everything that the targets depend on, see `mistray.sampling.importance_targets.signature`.
+        Part of the key: surfaces, media and purpose, see `mistray.sampling.importance_targets.signature`.
     search : callable
         Function that searches them. In a time budget it is always called: such a search may end early.
     """
-    if len(surfaces) < MANY or is_limited() or foreign_plugins(scene):
+    stated = None if len(surfaces) < FEWEST or is_limited() else _stated(scene)
+    if stated is None:
         return search()
-    return kept({"kind": "importance targets", "scene": key}, search, _written, _read)
+    facts = {"kind": "importance targets", "variant": mi.variant(), "surfaces": key, "plugins": stated}
+    return kept(facts, search, _written, _read)
+
+
+def _stated(scene: mi.Scene) -> str | None:
+    """Return the plain attributes of all shapes and sources of a scene, as text; None if one is not in `STATED`."""
+    found = []
+    for part in (*scene.shapes(), *scene.emitters()):
+        package, _, name = type(part).__module__.rpartition(".")
+        if not package.startswith("mistray.plugins") or name not in STATED:
+            return None
+        found.append((name, {key: fact for key, fact in map(_plain, sorted(vars(part).items())) if fact is not None}))
+    return repr(found)
+
+
+def _plain(item: tuple[str, Any]) -> tuple[str, Any]:
+    """Return an attribute with its value, arrays as bytes; with None for objects other than plain Python values."""
+    key, value = item
+    if isinstance(value, np.ndarray):
+        return key, value.tobytes()
+    return key, value if isinstance(value, bool | int | float | str | tuple | dict) and key != "parameters" else None
 
 
 def _written(found: Targets) -> list[Any]:

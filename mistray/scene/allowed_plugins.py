@@ -3,7 +3,7 @@ Checks that a scene names only safe plugins: listed ones of Mitsuba, mistray's, 
 
 Mitsuba takes an unknown type as the name of a library, ``plugins/TYPE.so``, and runs the code in it. It looks in the
 current folder, beside the scene, or wherever a path in the type leads. So mistray checks the types first, and puts
-Mitsuba's own folder first in the search path. Plugins from elsewhere are also what no cache can follow.
+Mitsuba's own folder first in the search path.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from mistray.scene.check import property_of
 from mistray.scene.messages import FILE
 from mistray.scene.xml_file import DEEPEST
 
-OWN = ("mistray", "mitsuba", "drjit")  # packages whose code is part of `mistray.cache.code_fingerprint`
 # The plugins that come with Mitsuba, without `blender`, which reads memory at addresses that the scene gives
 STOCK: Mapping[str, frozenset[str]] = {
     kind: frozenset(names.split())
@@ -165,15 +164,3 @@ def _refusal(name: str) -> str:
     if os.path.exists(library):
         return f"the type '{name}' would run the library '{library}'; {remedy}"
     return ""
-
-
-def foreign_plugins(scene: Any) -> list[str]:
-    """Return the class names of plugins in a scene that come neither with mistray nor with Mitsuba."""
-    parts: list[Any] = [scene.integrator(), *scene.emitters(), *scene.sensors()]
-    for shape in scene.shapes():
-        bsdf = shape.bsdf()
-        parts += [shape, bsdf, getattr(bsdf, "film", None), *getattr(bsdf, "scatterers", ())]
-    params: Any = mi.traverse(scene)
-    parts += [entry[2] for entry in params.properties.values()]
-    found = {type(part) for part in parts if part is not None}
-    return sorted({kind.__name__ for kind in found if kind.__module__.partition(".")[0] not in OWN})

@@ -424,6 +424,7 @@ def _within(shape: Sequence[Any], reach: Sequence[Any], o: np.ndarray, d: np.nda
     first, last, before = t[place, row], t[place + 1, row], above[place, row]
     at_first, at_last = heights[place, row], heights[place + 1, row]
     best = first - at_first * (last - first) / (at_last - at_first)
+    best = np.where(np.isfinite(best), best, 0.5 * (first + last))
     going, lines = np.arange(len(row)), numbers(rays[row])
     for _ in range(HALVINGS):  # Newton's steps, and halves where they leave the bracket
         f = _height(best, lines)

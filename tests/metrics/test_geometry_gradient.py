@@ -159,6 +159,7 @@ def kind_of(key: str) -> str:
 @pytest.mark.parametrize("name", [name for name in KEYS if name in CASES])
 def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
     """Every kind of parameter and metric; a gradient that is 1 % too large fails for each of them."""
+    assert set(KEYS) == set(CASES) | set(SCATTERING)
     case = cases(name)
     keys = match(parameters(case.scene), KEYS[name])
     metrics = case.metrics(case.strongest("ghost"))

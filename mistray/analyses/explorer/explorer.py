@@ -16,7 +16,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray._mitsuba_compat import peek
+from mistray._mitsuba_compat import peek, without_scene_update
 from mistray.analyses.explorer.controls import (
     COATING,
     FIELD,
@@ -39,7 +39,7 @@ from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.metrics.gradient import gradient
 from mistray.metrics.metric import path_power
-from mistray.metrics.scene_values import assign, without_triangles
+from mistray.metrics.scene_values import assign
 from mistray.notes import quiet
 from mistray.prescription.by_text import BARE
 from mistray.sampling.sources import scene_sources, source_emitters
@@ -501,7 +501,7 @@ class Explorer:
                 self._scenes.popitem(last=False)
         self._scenes.move_to_end(key)
         scene, layers = self._scenes[key]
-        params = without_triangles(mi.traverse(scene))
+        params = without_scene_update(mi.traverse(scene))
         values = {
             key: np.array([float(state[name])])
             for name, one in self.controls.items()

@@ -167,9 +167,9 @@ def remedy(report: GhostReport) -> Remedy | None:
         return None
     wanted = _design_events(report)
     detectors = {name for t in report.values() for name in t.energy.detected}
-    rows = {at: _stray(report, at) for at in report}
-    deeds_at = {at: _deeds(stray, wanted, detectors) for at, stray in rows.items()}
-    stray, deeds = rows[field], deeds_at[field]
+    stray_at = {at: _stray(report, at) for at in report}
+    deeds_at = {at: _deeds(rows, wanted, detectors) for at, rows in stray_at.items()}
+    stray, deeds = stray_at[field], deeds_at[field]
     if deeds.empty:
         return None
     by_surface = deeds.drop_duplicates(["surface", "row"]).groupby("surface").power_W.sum()
@@ -177,8 +177,8 @@ def remedy(report: GhostReport) -> Remedy | None:
     own = deeds[deeds.surface == surface]
     left = {}
     for at, found in deeds_at.items():
-        without = np.delete(np.arange(len(rows[at])), found.row[found.surface == surface].to_numpy(np.int64))
-        left[at] = report.power_of(at, rows[at].iloc[without])
+        rows, taken = stray_at[at], found.row[found.surface == surface].to_numpy(np.int64)
+        left[at] = report.power_of(at, rows.iloc[np.delete(np.arange(len(rows)), taken)])
     return Remedy(
         surface=surface,
         deed=str(own.groupby("deed").power_W.sum().idxmax()),

@@ -17,6 +17,7 @@ from mistray.errors import MistrayError
 from mistray.scene.files import scene_files
 from mistray.trace import Settings
 
+OWN = ("mistray", "mitsuba", "drjit")  # packages whose code is part of `code_fingerprint`
 CHANGED = "sweep: files of the scene were changed while it was traced; the rows since then are not kept"
 
 
@@ -150,3 +151,15 @@ def traced_facts(contents: SceneContents, settings: Settings, azimuth_deg: float
         "settings": asdict(settings),
         "azimuth_deg": azimuth_deg,
     }
+
+
+def foreign_plugins(scene: Any) -> list[str]:
+    """Return the class names of plugins in a scene that come neither with mistray nor with Mitsuba."""
+    parts: list[Any] = [scene.integrator(), *scene.emitters(), *scene.sensors()]
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        parts += [shape, bsdf, getattr(bsdf, "film", None), *getattr(bsdf, "scatterers", ())]
+    params: Any = mi.traverse(scene)
+    parts += [entry[2] for entry in params.properties.values()]
+    found = {type(part) for part in parts if part is not None}
+    return sorted({kind.__name__ for kind in found if kind.__module__.partition(".")[0] not in OWN})

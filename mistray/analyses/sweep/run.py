@@ -9,7 +9,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from mistray.analyses.sweep.cells import Cell, KeptRows, SceneContents, traced_facts
+from mistray.analyses.sweep.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
 from mistray.analyses.sweep.configurations import Configuration, Resolved, as_configurations, resolve
 from mistray.analyses.sweep.numbers import Numbers, numbers_of
 from mistray.analyses.sweep.request import SweepRequest
@@ -20,7 +20,6 @@ from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.scene_values import changed
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum, spectrum_of
 from mistray.scene import find, load
-from mistray.scene.allowed_plugins import foreign_plugins
 from mistray.scene.check import check_overlaps
 from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, within
 from mistray.toolkit.analysis import analysis

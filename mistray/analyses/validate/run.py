@@ -105,9 +105,9 @@ Chosen = list[tuple[Pack, ReferenceFile, Sequence[DeclaredRow]]]
 
 def _chosen(packs: Sequence[Pack], patterns: Sequence[str] | None) -> Chosen:
     """
-    Return packs of reference numbers, each with the rows whose names fit a pattern; without patterns with all rows.
+    Return packs of reference numbers, each with the rows that a pattern chooses; without patterns with all rows.
 
-    Packs without such a row are left out.
+    A pattern fits the name of a pack, for all its rows, or ``pack/row``. Packs without a chosen row are left out.
 
     Raises
     ------

@@ -97,7 +97,8 @@ def _set(sections: Sections, line: ZemaxLine) -> None:
     """
     Write the value of a configuration operand into the line of the lens data that it overrides.
 
-    Raise `MistrayError` if the operand is not read, or its surface or field does not exist.
+    The value of a field beyond the last one is written, too. Raise `MistrayError` if the operand is not read or not
+    complete, its surface does not exist, its field is below 1, or the system does not have one aperture to override.
     """
     place = _whole(line, 0)
     if line.key in _OF_SURFACE:
@@ -114,7 +115,8 @@ def _set(sections: Sections, line: ZemaxLine) -> None:
     elif line.key == "APER":
         found = [key for key in _APERTURES if sections.system.has(key)]
         if len(found) != 1:
-            raise line.error(f"'{line.shown}': the system has none of {', '.join(_APERTURES)}; save this configuration")
+            which = f"{len(found)} of {', '.join(_APERTURES)}, and one is needed"
+            raise line.error(f"'{line.shown}': the system has {which}; save this configuration")
         _replace(sections.system, found[0], 0, repr(line.value(2)), line)
     else:
         raise line.error(

@@ -26,7 +26,7 @@ def writable_directory(directory: str | Path) -> Path:
     Raises
     ------
     MistrayError
-        If the path is empty, is a file or is not writable, or its disk is full.
+        If the path is empty, a file, in a circle of links or not writable, or its disk is full.
 
     Examples
     --------
@@ -37,7 +37,7 @@ def writable_directory(directory: str | Path) -> Path:
         if not str(directory):
             raise MistrayError("output directory '' has no name; name a directory, or '.' for the current one")
         target = Path(os.path.realpath(Path(directory).expanduser()))
-        if target.is_symlink():  # what is left of links that lead in a circle
+        if any(place.is_symlink() for place in (target, *target.parents)):  # what is left of a circle of links
             raise MistrayError(f"output directory '{directory}' is a link that leads to itself; name a directory")
         if target.exists() and not target.is_dir():
             raise MistrayError(f"output directory '{directory}' is a file; name a directory")

@@ -155,8 +155,10 @@ def chosen_polarization(
         ]
         return remembered(_known, _facts(scene, _spread(lit or runs, MOST_RUNS)), pilot)
 
-    # Pilot, unless the same light was tested before: of a table that is kept, the sources' numbers tell without rays
-    if all(hasattr(emitter, "sources") for emitter in scene.emitters()):
+    # Pilot, unless the same light was tested before. A single table stands for all surfaces, and the attributes of
+    # mistray's own sources for their start rays
+    own = all(type(emitter).__module__.startswith("mistray.plugins.") for emitter in scene.emitters())
+    if own and len(tables) == 1:
         given = {name: value for name, value in vars(settings).items() if name not in ("rays", "seed")}
         key = repr((given, beside or lights, len(beams) > 1, source_facts(scene)))
         rows = remembered(remembered(runs[0][1].table.kept, "pilots", dict), key, tested)

@@ -205,7 +205,7 @@ def test_what_is_told(traced):
     # The worst of all fields are contested by the first of all
     first, other = lens_trace(0.0, 400, 0.01), fake.FakeTrace([fake.FakePath(fake.WIDE, 1e-4, 100, radius=0.05)], 10.0)
     report = fake.ghosts_of(first, other)
-    assert all(report.rivals(field).empty for field in report)
+    assert [report.rivals(field).empty for field in report] == [True, True]
     worst = worst_of_all_fields(report)
     low, high = np.concatenate([bounds(report.top(path.field_deg, 1)) for path in worst[:2]], axis=1)
     assert low[0] > low[1]

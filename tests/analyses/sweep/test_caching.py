@@ -14,11 +14,10 @@ from refusals import refused
 
 import mistray
 from mistray.analyses.sweep import run as sweeping
-from mistray.analyses.sweep.cells import Cell, KeptRows, SceneContents, traced_facts
+from mistray.analyses.sweep.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
 from mistray.analyses.sweep.configurations import Resolved
 from mistray.analyses.sweep.numbers import COLUMNS, FIRST_LIGHT, TEXTS
 from mistray.cache import Cache
-from mistray.scene.allowed_plugins import foreign_plugins
 from mistray.trace import Settings
 
 pytestmark = pytest.mark.quick
