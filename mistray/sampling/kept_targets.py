@@ -48,16 +48,16 @@ def _stated(scene: mi.Scene) -> str | None:
         package, _, name = type(part).__module__.rpartition(".")
         if not package.startswith("mistray.plugins") or name not in STATED:
             return None
-        found.append((name, {key: fact for key, fact in map(_plain, sorted(vars(part).items())) if fact is not None}))
+        facts = {key: fact.tobytes() if isinstance(fact, np.ndarray) else fact for key, fact in vars(part).items()}
+        found.append((name, sorted((key, fact) for key, fact in facts.items() if _is_plain(fact))))
     return repr(found)
 
 
-def _plain(item: tuple[str, Any]) -> tuple[str, Any]:
-    """Return an attribute with its value, arrays as bytes; with None for objects other than plain Python values."""
-    key, value = item
-    if isinstance(value, np.ndarray):
-        return key, value.tobytes()
-    return key, value if isinstance(value, bool | int | float | str | tuple | dict) and key != "parameters" else None
+def _is_plain(value: Any) -> bool:
+    """True for Python's own numbers, texts and bytes, and for tuples and dicts of them."""
+    if isinstance(value, tuple | dict):
+        return all(map(_is_plain, value.values() if isinstance(value, dict) else value))
+    return isinstance(value, bool | int | float | str | bytes)
 
 
 def _written(found: Targets) -> list[Any]:

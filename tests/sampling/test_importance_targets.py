@@ -22,6 +22,7 @@ import mistray
 from mistray import MistrayError
 from mistray.kernel.targets import AimSet, Target
 from mistray.sampling import importance_targets as importance_module
+from mistray.sampling import kept_targets
 from mistray.sampling.design_path import DesignPath, find_design_path
 from mistray.sampling.detector_images import FAR, DetectorImages
 from mistray.sampling.importance_targets import automatic_targets, importance_targets
@@ -54,7 +55,7 @@ def aims_of(scene: Any, **settings: Any) -> dict[tuple[str, str], AimSet]:
 def test_targets_of_the_disk_cache(tmp_path, monkeypatch) -> None:
     """Targets are read again to the last digit; they are searched anew if a surface moves or an entry is broken."""
     monkeypatch.setenv("MISTRAY_CACHE", str(tmp_path))
-    searches = []
+    searches: list[Any] = []
     monkeypatch.setattr(
         importance_module, "automatic_targets", lambda *of: searches.append(of) or automatic_targets(*of)
     )
@@ -75,6 +76,11 @@ def test_targets_of_the_disk_cache(tmp_path, monkeypatch) -> None:
         aims = importance_targets(table, scene, Settings(aimed_rays=2))
         return {place: [plain(target) for target in aim.targets] for place, aim in aims.items()}
 
+    scene = mistray.load("baffle_tube")
+    before = kept_targets._stated(scene)
+    mistray.trace(scene, rays=100)
+    assert kept_targets._stated(scene) == before  # whatever a trace keeps with the scene
+    assert " object at " not in before
     first = found()
     assert len(searches) == 1
     assert found() == first
