@@ -15,6 +15,7 @@ Targets change the variance of a result but not its expectation.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -30,7 +31,7 @@ from mistray.sampling.importance_targets import (
     automatic_targets,
     signature,
 )
-from mistray.sampling.kept_targets import kept_targets
+from mistray.sampling.kept_targets import kept_targets, read, written
 from mistray.settings import Settings
 from mistray.surfaces.host_points import across, box_corners, lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
@@ -46,6 +47,7 @@ OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its
 SKY_DEG = (10.0, 35.0, 80.0)  # field angles up to which the discs of the sky reach
 LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
 
+_START: Place = (0, False)  # under which targets of rays that start on the detector are written
 _known: dict[str, BackwardTargets] = {}
 
 
@@ -72,6 +74,26 @@ class BackwardTargets:
     light: np.ndarray | None
     views: dict[int, float]
 
+    def written(self) -> dict[str, Any]:
+        """Return the targets and fractions as JSON values; the numbers of rays, which are 1, are left out."""
+        return {
+            "aims": written({place: [*aim.targets] for place, aim in self.aims.items()}),
+            "start": written({_START: [*self.start.targets] if self.start else []}),
+            "light": None if self.light is None else self.light.tolist(),
+            "views": [[surface, share] for surface, share in self.views.items()],
+        }
+
+    @classmethod
+    def read(cls, content: Any) -> BackwardTargets:
+        """Return the targets that `written` wrote; raise ValueError, TypeError or KeyError for other content."""
+        aims, start, light = read(content["aims"]), read(content["start"])[_START], content["light"]
+        return cls(
+            {place: AimSet.of(targets, 1) for place, targets in aims.items()},
+            AimSet.of(start, 1) if start else None,
+            None if light is None else np.array(light),
+            {int(surface): float(share) for surface, share in content["views"]},
+        )
+
 
 def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> BackwardTargets:
     """
@@ -91,19 +113,26 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
     # A scene is traced many times; the cached targets have one ray each, as settings may differ
     scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
     key = signature(table, scene, scatterers) + repr(np.round(axis, 9).tolist())
-    found = remembered(_known, key, lambda: _find(table, scene, scatterers, axis, key))
+    found = remembered(
+        _known,
+        key,
+        lambda: kept_targets(
+            scene,
+            scatterers,
+            f"{key} backward",
+            lambda: _find(table, scene, scatterers, axis),
+            BackwardTargets.written,
+            BackwardTargets.read,
+        ),
+    )
     if settings.aim != "auto" or not settings.aimed_rays:
         return replace(found, aims={}, start=None)
     return replace(found, aims={place: replace(aim, rays=settings.aimed_rays) for place, aim in found.aims.items()})
 
 
 @share(SEARCH_SHARE)
-def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray, key: str) -> BackwardTargets:
-    """
-    Return the `BackwardTargets` of a scene by probe rays; `axis` is the unit direction of light at field angle 0.
-
-    `key` holds everything that they depend on.
-    """
+def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
+    """Return the `BackwardTargets` of a scene by probe rays; `axis` is the unit direction of light at field angle 0."""
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
@@ -117,7 +146,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
         else:  # straight from the detector to the opening
             out = DesignStep(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
             back = DesignPath(table, (out,), opening)
-        found = kept_targets(scene, scatterers, f"{key} backward", lambda: automatic_targets(table, back, scatterers))
+        found = automatic_targets(table, back, scatterers)
         points, normals = surface_points(table, table.detector, fewer_rays(PROBES), rng)
         towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
         fitted = DetectorImages(back).fitted(0, points, towards, rng)

@@ -28,7 +28,7 @@ from mistray.kernel.targets import AimSet, Inside, Place, Side, Target
 from mistray.sampling.bulk_aiming import Appearance, Sight, apparent, arrivals, body_targets, scattering_bodies
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
 from mistray.sampling.detector_images import DetectorImages
-from mistray.sampling.kept_targets import kept_targets
+from mistray.sampling.kept_targets import kept_targets, read, written
 from mistray.sampling.outlines import outline
 from mistray.sampling.scene_targets import scene_targets
 from mistray.settings import Settings
@@ -83,7 +83,7 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     # Automatic targets of the other surfaces, from the cache if the scene has been traced before
     key, rays = signature(table, scene, rest), settings.aimed_rays
     automatic = remembered(
-        _known, key, lambda: kept_targets(scene, rest, key, lambda: _of_detectors(table, scene, rest))
+        _known, key, lambda: kept_targets(scene, rest, key, lambda: _of_detectors(table, scene, rest), written, read)
     )
 
     def automatic_sets() -> dict[Place, AimSet]:

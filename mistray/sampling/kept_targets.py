@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 import mitsuba as mi
 import numpy as np
@@ -17,11 +17,19 @@ FEWEST = 8  # surfaces that scatter: a search for fewer takes no longer than a h
 STATED = ("asphere", "frustum", "collimated")  # plugins of which plain attributes say all that a search depends on
 
 Targets = dict[Place, list[Target]]
+Found = TypeVar("Found")
 
 
-def kept_targets(scene: mi.Scene, surfaces: Sequence[int], key: str, search: Callable[[], Targets]) -> Targets:
+def kept_targets(
+    scene: mi.Scene,
+    surfaces: Sequence[int],
+    key: str,
+    search: Callable[[], Found],
+    write: Callable[[Found], Any],
+    read: Callable[[Any], Found],
+) -> Found:
     """
-    Return the importance targets of a scene, by place of scatter, from the cache if possible.
+    Return the importance targets of a scene from the cache if possible, or search them.
 
     Parameters
     ----------
@@ -33,12 +41,14 @@ def kept_targets(scene: mi.Scene, surfaces: Sequence[int], key: str, search: Cal
         Part of the key: surfaces, media and purpose, see `mistray.sampling.importance_targets.signature`.
     search : callable
         Function that searches them. In a time budget it is always called: such a search may end early.
+    write, read : callable
+        Functions from the targets to JSON values and back, see `mistray.cache.kept`.
     """
     stated = None if len(surfaces) < FEWEST or is_limited() else _stated(scene)
     if stated is None:
         return search()
     facts = {"kind": "importance targets", "variant": mi.variant(), "surfaces": key, "plugins": stated}
-    return kept(facts, search, _written, _read)
+    return kept(facts, search, write, read)
 
 
 def _stated(scene: mi.Scene) -> str | None:
@@ -60,7 +70,7 @@ def _is_plain(value: Any) -> bool:
     return isinstance(value, bool | int | float | str | bytes)
 
 
-def _written(found: Targets) -> list[Any]:
+def written(found: Targets) -> list[Any]:
     """Return targets by place as JSON values: whether it is in a medium, index and side of the surface, targets."""
     rows = []
     for place, targets in found.items():
@@ -75,8 +85,8 @@ def _facts(target: Target) -> dict[str, Any]:
     return {name: fact.tolist() if isinstance(fact, np.ndarray | np.generic) else fact for name, fact in facts.items()}
 
 
-def _read(content: Any) -> Targets:
-    """Return the targets that `_written` wrote; raise ValueError, TypeError or KeyError for other content."""
+def read(content: Any) -> Targets:
+    """Return the targets that `written` wrote; raise ValueError, TypeError or KeyError for other content."""
     return {
         Inside(surface, at_back) if inside else (surface, at_back): [Target(**facts) for facts in targets]
         for inside, surface, at_back, targets in content
