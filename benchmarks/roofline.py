@@ -41,7 +41,6 @@ from mistray.recorders.recorder import Memory, Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import Tallies
 from mistray.settings import Settings
-from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
 SCENES = {"double_gauss": 1 << 17, "phone_camera": 1 << 13}
@@ -305,11 +304,7 @@ def parts_of(name: str, rays: int, hz: float) -> Iterator[Part]:
     cycles = [hz * timing.seconds * LANES / walked for timing in times]
     yield hit
     yield interaction
-    # The first segment is in the code too, without a surface that it leaves
-    nothing = dr.full(mi.UInt32, NO_SURFACE, dr.width(segments.s))
-    first = code_of(lambda: dr.eval(run.intersector.nearest(segments.o, segments.d, nothing, mi.Bool(True))))
-    twice = sum(operations(first), start=hit.code)
-    own = codes[0].without(twice + interaction.code)
+    own = codes[0].without(hit.code + interaction.code)
     yield Part("choice of the child, nodes, loop", own, own, cycles[0] - hit.cycles - interaction.cycles)
     for k, what in enumerate(("sums by surface", "film", "path table")):
         own = codes[k + 1].without(codes[k])

@@ -34,6 +34,7 @@ from mistray.surfaces.optics import ONE_CHILD, OPAQUE
 Loss = Callable[[int | mi.UInt32, Any, mi.Bool, Memory], None]
 
 TRANSMIT, REFLECT, SCATTER = range(3)  # numbers of children; scattered ones follow
+START = 0xFFFFFFFF  # stands for the child of a start ray, which has met no surface
 # Share of `scatter_threshold` that holds at walls of a backward trace: in the dark little is all there is
 DARK_THRESHOLD_SHARE = 1e-3
 
@@ -57,6 +58,8 @@ class Node:
         Fractions of the incident flux in the specular reflected and transmitted rays, without scatter.
     first, again : mi.Bool
         Lanes on their first visit to the node, and lanes that have come back to it.
+    starts : mi.Bool
+        Lanes without a node, whose start ray sets off.
     contributes : mi.Bool
         Lanes whose flux enters the energy ledger; not those of connected rays, whose light other rays carry as well.
     rng : mi.PCG32
@@ -75,6 +78,7 @@ class Node:
     T: mi.Float
     first: mi.Bool
     again: mi.Bool
+    starts: mi.Bool
     contributes: mi.Bool
     rng: mi.PCG32
     split: mi.UInt32
@@ -373,11 +377,7 @@ class Branching:
         return self._next(node, children, factors)
 
     def _flux_limit(self, node: Node) -> mi.Float:
-        """
-        Return the throughput, in units of a start ray's flux, below which unscattered light is cut or plays roulette.
-
-        It is `flux_threshold`, multiplied by `StartRays.scale` where that is given.
-        """
+        """Return the throughput of `flux_threshold`, below which unscattered light is cut or plays roulette."""
         return self._threshold * node.start.given("scale", 1)
 
     def _scatter_factors(self, node: Node, children: Children, scatter_limit: mi.Float, u: mi.Float) -> ScatterFactors:

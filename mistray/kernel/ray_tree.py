@@ -10,6 +10,7 @@ next child. The nodes of the path lie in local memory by depth, so that nothing 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -18,7 +19,7 @@ import mitsuba as mi
 
 from mistray.events import ABSORBED, event_of
 from mistray.kernel.branch_limits import NO_RUN, BranchLimits
-from mistray.kernel.branching import REFLECT, TRANSMIT, Branching, Children, Choice, Node, Sent
+from mistray.kernel.branching import REFLECT, START, TRANSMIT, Branching, Children, Choice, Node, Sent
 from mistray.kernel.interaction import event_code, interact, is_diffraction
 from mistray.kernel.kernel_scene import KernelScene, film_coordinates, next_hit
 from mistray.kernel.pdf_ratios import PdfRatios
@@ -43,7 +44,6 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surface_rows import LaneRows
 
 State = dict[str, Any]
-MEMORY = ("memory", "recorders")  # variables of the loop that belong to lanes, not to rays
 
 
 def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorders: Sequence[Recorder | None]) -> None:
@@ -64,19 +64,10 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     # What a user differentiates by, such as the vertices of a mesh, does not make a trace differentiable
     with dr.suspend_grad():
         together = Recorders(recorders)
-        tree = _Tree(scene, start, settings, together)
-        state = tree.first_segment()
-        if tree.scatters and StartSupply.pays(scene, settings) and not together.by_ray:
-            # Rays that meet a surface are kept, and fewer lanes take them one after the other
-            tree.end(state, ~state["active"])
-            at_surface = {name: value for name, value in state.items() if name not in MEMORY}
-            dr.eval(at_surface)
-            supply = StartSupply(start, at_surface)
-            if not supply.any:
-                return
-            tree = _Tree(scene, start, settings, together, supply)
-            state = tree.idle()
-        tree.walk(state)
+        supply = None
+        if scene.scatters(settings) and StartSupply.pays(scene, settings) and not together.by_ray:
+            supply = StartSupply(start)
+        _Tree(scene, start, settings, together, supply).walk()
 
 
 class _Tree:
@@ -119,59 +110,28 @@ class _Tree:
 
     # ---- the state of the loop
 
-    def first_segment(self) -> State:
-        """Return the loop variables after the start rays are traced to the first surface that they meet."""
-        start, table, n, full = self.start, self.scene.table, self.n, self.full
-        o, d, bulk = start.o, start.d, self.bulk
-        memory: Memory = {}
-        codes = dr.alloc_local(mi.UInt32, self.settings.max_events)
-        self.recorders.begin(start, self.settings.max_events, memory)
-        leaves_surface, medium = start.given("left", full(NO_SURFACE)), start.given("medium", full())
-        key = start.given("key", dr.full(mi.UInt64, FIRST_KEY, n))
-        reflections, scatters = start.given("reflections", full()), start.given("scatters", full())
-
-        # Intersect; rays that start on a surface, at a node, are there
-        under_way = start.w > 0 if start.at is None else (start.w > 0) & (start.at == NO_SURFACE)
-        t, s, normal = next_hit(table, self.scene.intersector, o, d, leaves_surface, under_way, normal=start.normal)
-        if start.at is not None:
-            t, s = dr.select(under_way, t, 0), dr.select(under_way, s, start.at)
-        hit = s != NO_SURFACE
-        missed = ~hit & (start.w > 0)
-        run = start.given("run", full(NO_RUN))
-        hit = self.limits.arrive(run, s, start.w, hit, mi.Bool(True))
-
-        # Record the start, the segment and what leaves the scene
-        lose, depth = self.recorders.lose, start.given("depth", full())
-        channel, leaving = self.scene.way_out(medium, missed)
-        lose(channel, start.w, missed, memory)
-        lose(FIRST_MISS, 1.0, missed if start.scale is None else ~hit, memory)  # aimed rays may have no flux
-        lose(STARTED, 1.0, mi.Bool(True), memory)
-        self.recorders.travel(Segment(start, o, d, start.w, medium, t, missed, under_way), memory)
-        if self.scene.backward:
-            departure = Departure(start, d, start.w, reflections, scatters, key, depth, lambda k, _: k, leaving)
-            self.recorders.depart(departure, memory)
-
-        # Attenuate
-        w, in_scattered = self._attenuate(start, start.w, medium, t, hit, mi.Bool(True))
-        unpolarized = dr.zeros(mi.Vector3f, n if self.settings.stokes else 1)
-        stokes = start.given("stokes", unpolarized) if self.settings.stokes else unpolarized
+    def at_start(self, start: StartRays) -> State:
+        """Return the loop variables of start rays, before their first segment; those of lanes are left out."""
+        n, full, stokes = self.n, self.full, self.settings.stokes
+        unpolarized = dr.zeros(mi.Vector3f, n if stokes else 1)
         return {
-            "active": hit,  # the lane has a node to visit
-            "child": full(TRANSMIT),  # number of the child that this visit is for; the first visit looks for one
-            "p": dr.fma(t, d, o),  # point of the node, mm
-            "d": mi.Vector3f(d),  # unit direction in which it was reached
-            "w": mi.Float(w),  # throughput β with which it was reached
-            "stokes": mi.Vector3f(stokes),  # polarisation with which it was reached: Q, U, V over I
-            "s": dr.select(hit, s, 0),  # number of its surface
-            "normal": normal,  # normal there, if the surface is one of Mitsuba's own shapes
-            "medium": mi.UInt32(medium),  # material of the segment that led to it; 0: unknown
-            "depth": mi.UInt32(depth),  # events before it
-            "reflections": mi.UInt32(reflections),  # counted reflections before it
-            "key": mi.UInt64(key),  # key of the events before it
-            "run": mi.UInt32(run),  # hits of one surface in a row before it
+            "child": full(START),  # number of the child that this visit is for; the first visit looks for one
+            "p": mi.Vector3f(start.o),  # point of the node, mm
+            "d": mi.Vector3f(start.d),  # unit direction in which it was reached
+            "w": mi.Float(start.w),  # throughput β with which it was reached
+            # Polarisation with which it was reached: Q, U, V over I
+            "stokes": mi.Vector3f(start.given("stokes", unpolarized)) if stokes else unpolarized,
+            "s": full(),  # number of its surface
+            # Normal there, if the surface is one of Mitsuba's own shapes
+            "normal": start.given("normal", dr.zeros(mi.Vector3f, n if self.has_mitsuba_shapes else 1)),
+            "medium": mi.UInt32(start.given("medium", full())),  # of the segment that led to it; 0: unknown
+            "depth": mi.UInt32(start.given("depth", full())),  # events before it
+            "reflections": mi.UInt32(start.given("reflections", full())),  # counted reflections before it
+            "key": mi.UInt64(start.given("key", dr.full(mi.UInt64, FIRST_KEY, n))),  # key of the events before it
+            "run": mi.UInt32(start.given("run", full(NO_RUN))),  # hits of one surface in a row before it
             "pending": full(),  # depth + 1 of the deepest node before it that has a child still to come; 0: none
-            "segments": full(1),  # ray segments of the tree so far
-            "scatters": mi.UInt32(scatters),  # scatter events before it, see COUNT_MASK
+            "segments": full(),  # ray segments of the tree so far
+            "scatters": mi.UInt32(start.given("scatters", full())),  # scatter events before it, see COUNT_MASK
             # Surface that sent the ray to a target, unless it was reflected since
             "aimed_from": mi.UInt32(start.given("aimed_from", full(NO_SURFACE))),
             # Throughput at the source or after the last scatter event, see `Branching.reference`
@@ -183,47 +143,46 @@ class _Tree:
             **PdfRatios.first(n if self.pdf_ratios is not None else 1, n if self.connects else 1),
             # Number of the light vertex plus one that a ray is connected to, see `CONNECTED`; 0 of others
             "light_vertex": dr.zeros(mi.UInt32, n if self.connects else 1),
-            "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # length of the segment that led to it, mm
+            "length": dr.zeros(mi.Float, n if self.bulk else 1),  # length of the segment that led to it, mm
             # Distance of the node behind p, where its medium has scattered, mm
-            "away": dr.zeros(mi.Float, n if bulk else 1),
+            "away": dr.zeros(mi.Float, n if self.bulk else 1),
             # Flux of all rays that the medium scattered where it sent this one; 0 of other rays
-            "shared": dr.zeros(mi.Float, n if bulk else 1),
-            "in_scattered": mi.Float(in_scattered) if bulk else dr.zeros(mi.Float, 1),  # flux scattered on the way
+            "shared": dr.zeros(mi.Float, n if self.bulk else 1),
+            "in_scattered": dr.zeros(mi.Float, n if self.bulk else 1),  # flux scattered on the way
             "direct_depth": full(),  # deepest node of the current path before its first reflection
             "resume_level": full(),  # level at which the lane waits, see `pending_nodes`; 0: it is under way
             "rng": mi.PCG32(start.rng),
-            "memory": (self.nodes.memory, codes),  # nodes and events of the current path, by depth
-            "recorders": memory,
         }
-
-    def idle(self) -> State:
-        """Return the initial loop variables of lanes that wait for their first start ray."""
-        assert self.supply is not None
-        memory: Memory = {}
-        self.recorders.begin(self.start, self.settings.max_events, memory)
-        ray, all_of_them = self.full(), dr.full(mi.Bool, True, self.n)
-        state = {name: self.supply.at_surface(name, ray) for name in self.supply.names}
-        codes = dr.alloc_local(mi.UInt32, self.settings.max_events)
-        lanes = {"active": all_of_them, "idle": all_of_them, "ray": ray}
-        return {**state, **lanes, "memory": (self.nodes.memory, codes), "recorders": memory}
 
     # ---- the loop
 
-    def walk(self, state: State) -> None:
-        """Follow all ray trees to their ends from the given loop variables, and collect the recorders' results."""
+    def walk(self) -> None:
+        """Follow the ray trees of all start rays to their ends, and collect the recorders' results."""
         if LaneRows.pay(self.scene.table):
             self.rows = LaneRows(self.scene.table, self.n)
+        supply, active = self.supply, dr.full(mi.Bool, True, self.n)
+        state = self.at_start(self.start)
         # Variables that keep their values in this scene are none of the loop. These change in all, kept or not
         changing = self.needed | {"child", "medium"}
-        constant = {name: state[name] for name in OPTIONAL if name not in changing}
+        constant = {name for name in OPTIONAL if name not in changing}
+        fixed = {name: state[name] for name in constant}
         state = {name: value for name, value in state.items() if name not in constant}
 
+        # The lanes: whether they have a node to visit, nodes and events of the current path by depth, recorders
+        memory: Memory = {}
+        self.recorders.begin(self.start, self.settings.max_events, memory)
+        codes = dr.alloc_local(mi.UInt32, self.settings.max_events)
+        state |= {"active": active, "memory": (self.nodes.memory, codes), "recorders": memory}
+        if supply is not None:  # they wait for their first start ray
+            state |= {"idle": active, "ray": self.full()}
+
         def visit(state: State) -> State:
-            start, values = self.start, constant
-            if self.supply is not None:
-                state = self.supply.renew(state)
-                start = self.supply.start(state["ray"])
-                values = {name: self.supply.at_surface(name, state["ray"]) for name in constant}
+            start, values = self.start, fixed
+            if supply is not None:
+                state = supply.renew(state, self.at_start)
+                start = supply.start(state["ray"])
+                renewed = self.at_start(start)
+                values = {name: renewed[name] for name in constant}
             following = self.visit(start, {**state, **values})
             return {name: value for name, value in following.items() if name not in constant}
 
@@ -232,10 +191,10 @@ class _Tree:
             state = recorded_once(state, lambda state: state["active"], lambda state: visit(resume(state)), "ray tree")
         else:
             state = walk_in_lockstep(state, visit, resume)
-        if self.supply is None:
-            self.end(state, mi.Bool(True))
-        else:
-            self.recorders.collect_lanes(self.supply.start(state["ray"]), state["recorders"])
+        if supply is None:
+            self._complete(self.start, state, mi.Bool(True), state["recorders"])
+        start = self.start if supply is None else supply.start(state["ray"])
+        self.recorders.collect_lanes(start, state["recorders"])
 
     def visit(self, start: StartRays, state: State) -> State:
         """Visit one node per lane, and return the variables of the loop at the next node."""
@@ -256,25 +215,33 @@ class _Tree:
         # Store the node for its later visits and as part of the path, and record the branch
         path, code = self._store(node, choice, sent, path, codes, memory)
 
+        # Start: a start ray has had no node, and sets off as it is
+        sent = self._with_start_rays(node, sent)
+
         # Intersect and attenuate: the child's next surface, or its way out of the scene
         following, hit = self._follow(node, children, choice, sent, path, codes, code, memory)
 
         # Return to the deepest pending node where the branch has ended
         following |= self._go_back(node, choice, hit, direct_depth, memory)
-        following = {**state, **following, "rng": node.rng}
+        # A start ray sets off without a draw
+        rng = mi.PCG32(node.rng)
+        rng.state = dr.select(node.starts, state["rng"].state, rng.state)
+        following = {**state, **following, "rng": rng}
         if self.supply is not None:
             done = state["active"] & ~following["active"]
-            self._complete(start, following["segments"], done, memory)
+            self._complete(start, following, done, memory)
             following |= {"active": state["active"], "idle": done}
         return {**following, "memory": (path, codes), "recorders": memory}
 
-    def _complete(self, start: StartRays, segments: mi.UInt32, done: mi.Bool, memory: Memory) -> None:
-        self.recorders.end(start, segments, segments >= self.branching.max_segments, done, memory)
-
-    def end(self, state: State, done: mi.Bool) -> None:
-        """Record the complete ray trees of the lanes in `done`, and collect the per-lane sums of all lanes."""
-        self._complete(self.start, state["segments"], done, state["recorders"])
-        self.recorders.collect_lanes(self.start, state["recorders"])
+    def _complete(self, start: StartRays, state: State, done: mi.Bool, memory: Memory) -> None:
+        """Record the complete ray trees of the lanes in `done`, and the start rays that have met nothing."""
+        self.recorders.lose(STARTED, 1.0, done, memory)
+        # Aimed start rays may have no flux: these count, too
+        met_nothing = done & (state["child"] == START)
+        if start.scale is None:
+            met_nothing &= start.w > 0
+        self.recorders.lose(FIRST_MISS, 1.0, met_nothing, memory)
+        self.recorders.end(start, state["segments"], state["segments"] >= self.branching.max_segments, done, memory)
 
     # ---- the steps of a visit
 
@@ -299,8 +266,9 @@ class _Tree:
         """Return the nodes of this visit; a first visit also records the hit and the absorbed throughput."""
         active, d, w, s = (state[k] for k in ("active", "d", "w", "s"))
         table, scattering = self.scene.table, self.scene.scattering
+        starts = active & (state["child"] == START)
         first = active & (state["child"] == TRANSMIT)
-        again = active & ~first
+        again = active & ~first & ~starts
         contributes = state["light_vertex"] == 0 if self.connects else mi.Bool(True)
         visited = first & contributes
 
@@ -308,7 +276,7 @@ class _Tree:
         stokes = state["stokes"] if self.settings.stokes else None
         normal = state["normal"] if self.has_mitsuba_shapes else None
         reached = dr.fma(state["away"], d, state["p"]) if self.bulk and self.scatters else state["p"]
-        it = interact(table, reached, d, s, normal, stokes, active, self.rows)
+        it = interact(table, reached, d, s, normal, stokes, first | again, self.rows)
 
         # A ray whose material is not the one that the surface has on this side is lost
         strayed = first & (state["medium"] != 0) & (it.medium_in != 0) & (it.medium_in != state["medium"])
@@ -362,7 +330,21 @@ class _Tree:
             row = window_row(s, hits.window_place, hits.before(first), state["scatters"] & COUNT_MASK)
             split, survival = windows.read(row, windows.value(start, w, first), split, first)
         self.recorders.visit(hits, memory)
-        return Node(start, state, it, budget, R, T, first & ~at_rim, again, contributes, state["rng"], split, survival)
+        return Node(
+            start=start,
+            state=state,
+            interaction=it,
+            budget=budget,
+            R=R,
+            T=T,
+            first=first & ~at_rim,
+            again=again,
+            starts=starts,
+            contributes=contributes,
+            rng=mi.PCG32(state["rng"]),
+            split=split,
+            survival=survival,
+        )
 
     def _send(self, node: Node, children: Children, choice: Choice, memory: Memory) -> Sent:
         """Return the chosen child ray of each node; its flux is 0 where no child goes on, for example at a limit."""
@@ -372,7 +354,7 @@ class _Tree:
         scatter, by_medium, flux = choice.scatter, choice.by_medium, choice.flux
 
         # Specular: refracted or reflected
-        reflect = choice.number == REFLECT
+        reflect = node.visit & (choice.number == REFLECT)
         heading, origin = dr.select(reflect, it.reflected, it.transmitted), p
         aim, slope, pdfs = mi.Bool(False), dr.rcp(dr.select(reflect, it.R, it.T)), ScatterPdfs()
 
@@ -431,6 +413,20 @@ class _Tree:
             active=node.visit & (flux > 0),
         )
 
+    @staticmethod
+    def _with_start_rays(node: Node, sent: Sent) -> Sent:
+        """Return the rays that set off in this visit: the child rays of nodes, and start rays, which have had none."""
+        state, starts = node.state, node.starts
+        # Those without flux go nowhere; those that begin at a node are there
+        return replace(
+            sent,
+            origin=dr.select(starts, state["p"], sent.origin),
+            heading=dr.select(starts, state["d"], sent.heading),
+            flux=dr.select(starts, state["w"], sent.flux),
+            medium_in=dr.select(starts, state["medium"], sent.medium_in),
+            active=sent.active | (starts & (state["w"] > 0)),
+        )
+
     def _store(
         self, node: Node, choice: Choice, sent: Sent, path: Any, codes: Any, memory: Memory
     ) -> tuple[Any, mi.UInt32]:
@@ -473,23 +469,30 @@ class _Tree:
     ) -> tuple[State, mi.Bool]:
         """Return the loop variables at the next surface of the child rays, and a mask of the lanes that reach one."""
         start, state, it, bulk, scatters = node.start, node.state, node.interaction, self.bulk, self.scatters
-        table, depth, s, key = self.scene.table, state["depth"], state["s"], extend_key(state["key"], code)
+        table, depth, s, starts = self.scene.table, state["depth"], state["s"], node.starts
         scatter, by_medium, reflect, go = choice.scatter, choice.by_medium, sent.reflect, sent.active
+        key = dr.select(starts, state["key"], extend_key(state["key"], code))
+        events = dr.select(starts, depth, depth + 1)
 
-        # Intersect
-        medium = dr.select(reflect | by_medium, sent.medium_in, it.medium_out)
-        leaves_surface = dr.select(by_medium, NO_SURFACE, s) if bulk else s
+        # Intersect; start rays that begin at a node are there
+        medium = dr.select(reflect | by_medium | starts, sent.medium_in, it.medium_out)
+        leaves_surface = dr.select(starts, start.given("left", NO_SURFACE), s)
+        leaves_surface = dr.select(by_medium, NO_SURFACE, leaves_surface) if bulk else leaves_surface
         before, intersector = state["normal"] if self.has_mitsuba_shapes else None, self.scene.intersector
-        t, s2, normal = next_hit(table, intersector, sent.origin, sent.heading, leaves_surface, go, normal=before)
+        travels = go if start.at is None else go & ~(starts & (start.at != NO_SURFACE))
+        t, s2, normal = next_hit(table, intersector, sent.origin, sent.heading, leaves_surface, travels, normal=before)
+        if start.at is not None:
+            there = go & ~travels
+            t, s2 = dr.select(there, 0, t), dr.select(there, start.at, s2)
         hit = go & (s2 != NO_SURFACE)
         gone = go & ~hit
 
         # Record the segment
         channel, leaving = self.scene.way_out(medium, gone)
         self.recorders.lose(channel, sent.flux, gone & sent.contributes, memory)
-        recorded = go & sent.contributes
+        recorded = travels & sent.contributes
         self.recorders.travel(Segment(start, sent.origin, sent.heading, sent.flux, medium, t, gone, recorded), memory)
-        run = self.limits.run_after(state["run"], s, by_medium)
+        run = self.limits.run_after(state["run"], s, by_medium, starts)
         hit = self.limits.arrive(run, s2, sent.flux, hit, sent.contributes)
 
         # Counts of the path: reflections and scatter events
@@ -515,6 +518,7 @@ class _Tree:
                     state, it, sent.heading, through, sent.pdfs.pdf_rev, scatter, by_medium, t
                 )
                 following["light_vertex"] = sent.light_vertex
+            following = {name: dr.select(starts, state[name], value) for name, value in following.items()}
 
         # Record what leaves the scene
         if self.scene.backward or self.recorders.departs:
@@ -526,7 +530,7 @@ class _Tree:
                 reflections=state["reflections"] + dr.select(bounced, mi.UInt32(1), 0),
                 scatters=scatter_word,
                 key=key,
-                length=depth + 1,
+                length=events,
                 event=codes.read,
                 active=leaving,
                 nodes=path,
@@ -556,9 +560,11 @@ class _Tree:
         elif bulk:  # nothing is followed: a first visit records what the medium scatters
             following["in_scattered"] = in_scattered
         if it.polarized:
-            following["stokes"] = dr.select(scattered, 0, it.polarized.after(reflect, sent.heading))
+            after = dr.select(starts, state["stokes"], it.polarized.after(reflect, sent.heading))
+            following["stokes"] = dr.select(scattered, 0, after)
         following |= {
-            "child": self.full(TRANSMIT),
+            # A start ray that meets nothing has no node; all others look for their first child there
+            "child": dr.select(starts & ~hit, mi.UInt32(START), TRANSMIT),
             "p": dr.fma(t, sent.heading, sent.origin),
             "d": sent.heading,
             "w": flux,
@@ -581,13 +587,13 @@ class _Tree:
         back = ended & (pending != 0)
         k = dr.select(back, pending - 1, 0)
         closed = dr.select(back, k + 1, node.start.given("depth", self.full()))
-        self.recorders.back(Return(node.start, depth, k, closed, ended), memory)
+        self.recorders.back(Return(node.start, depth, k, closed, ended & ~node.starts), memory)
         # Lanes that are back wait at level 1, or on the direct path at level 2; where light is scattered none waits
         level = mi.UInt32(1) if self.scatters else dr.select(k <= direct_depth, mi.UInt32(LEVELS), 1)
         return {
             "active": hit | back,
             "resume_level": dr.select(back, level, 0),
             "direct_depth": direct_depth,
-            "depth": dr.select(back, k, depth + 1),
+            "depth": dr.select(back, k, dr.select(node.starts, depth, depth + 1)),
             "pending": pending,
         }

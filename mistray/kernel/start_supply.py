@@ -8,6 +8,7 @@ that its sums are those of a batch. A ray has its own random numbers, so that it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -16,47 +17,39 @@ import numpy as np
 
 from mistray._variant import lanes_of_threads, on_gpu
 from mistray.kernel.kernel_scene import KernelScene
-from mistray.recorders.start_rays import StartRays, chosen
+from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.upload import upload
 
+State = dict[str, Any]
 MANY_SURFACES = 4  # number of transmitting surfaces from which on trees are large
 
 
 class StartSupply:
     """
-    Supply of start rays, already traced to their first surface, for lanes that have finished a ray tree.
+    Supply of start rays for lanes that have finished a ray tree.
 
     Parameters
     ----------
     start : StartRays
         Start rays, one per lane.
-    at_surface : dict
-        Variables of the loop at the first surface, evaluated; "active" are rays that have met a surface.
 
     Attributes
     ----------
-    any : bool
-        Whether a ray has met a surface.
     lanes : int
         Number of lanes.
-    names : list of str
-        Names of the loop's variables that are stored for each start ray.
     """
 
-    def __init__(self, start: StartRays, at_surface: dict[str, Any]) -> None:
-        self._start, self._at_surface, self.names = start, at_surface, list(at_surface)
-        rays = np.flatnonzero(np.array(at_surface["active"]))
+    def __init__(self, start: StartRays) -> None:
+        self._start = start.evaluated()
         batch = np.array(start.batch)
-        batch = batch[rays] if len(batch) > 1 else np.broadcast_to(batch, len(rays))
         # Rays by batch, and where each batch begins and ends: lanes of a batch share an atomic counter
-        self._order = upload(mi.UInt32, rays[np.argsort(batch.astype(np.uint8), kind="stable")])
+        self._order = upload(mi.UInt32, np.argsort(batch.astype(np.uint8), kind="stable"))
         ends = np.cumsum(np.bincount(batch, minlength=BATCHES))
         self._ends = upload(mi.UInt32, ends)
         self._next = upload(mi.UInt32, np.append(0, ends[:-1]))
-        self.any = len(rays) > 0
-        self.lanes = max(BATCHES, min(len(rays), lanes_of_threads()))
+        self.lanes = max(BATCHES, min(len(batch), lanes_of_threads()))
         self._batch = dr.arange(mi.UInt32, self.lanes) % BATCHES
 
     @staticmethod
@@ -72,25 +65,25 @@ class StartSupply:
         transmitting = np.count_nonzero(np.asarray(scene.table.optics.host_words) & OPAQUE == 0)
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
-    def renew(self, state: dict[str, Any]) -> dict[str, Any]:
-        """Return the loop variables after idle lanes have taken a new start ray; those that find none go inactive."""
+    def renew(self, state: State, at_start: Callable[[StartRays], State]) -> State:
+        """
+        Return the loop variables after idle lanes have taken a new start ray; those that find none go inactive.
+
+        `at_start` returns the variables of start rays.
+        """
         # The next ray of its batch: a lane that finds it used up stays idle, and the counter may run past the end
         idle = state["idle"]
         place = dr.scatter_inc(self._next, self._batch, idle)
         found = idle & (place < dr.gather(mi.UInt32, self._ends, self._batch, idle))
         ray = dr.gather(mi.UInt32, self._order, place, found)
-        fresh = {name: self.at_surface(name, ray, found) for name in self.names if name in state}
+        fresh = {name: value for name, value in at_start(self.start(ray, found)).items() if name in state}
         fresh |= {"ray": ray, "active": mi.Bool(True)}
         renewed = {name: dr.select(found, value, state[name]) for name, value in fresh.items()}
         return {**state, **renewed, "active": state["active"] & (found | ~idle)}
 
-    def start(self, ray: mi.UInt32) -> StartRays:
+    def start(self, ray: mi.UInt32, active: mi.Bool | bool = True) -> StartRays:
         """Return the start rays with the given indices, one per lane, each assigned to the batch of its lane."""
         # A lane keeps its batch before it has a ray
-        found = self._start.picked(ray)
+        found = self._start.picked(ray, active)
         found.batch = self._batch
         return found
-
-    def at_surface(self, name: str, ray: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-        """Return the loop variable `name` of start rays `ray` at the first surface that they meet."""
-        return chosen(self._at_surface[name], ray, active)

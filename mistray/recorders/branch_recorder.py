@@ -145,9 +145,9 @@ class BranchRecorder(Recorder):
 
         This is done only with `light` for rays that leave the scene.
         """
-        if self.light is not None and not self.light.incident and departure.node is not None:
+        if self.light is not None and not self.light.incident:
             gained = self.light.gain(departure)
-            self.write(departure, departure.active & (gained != 0), gained, departure.heading)
+            self.write(departure, departure.after_event & (gained != 0), gained, departure.heading)
 
     def write(
         self,
@@ -297,8 +297,8 @@ class ElsewhereRecorder(BranchRecorder):
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Record rays that leave the scene after at least one event, if `departs` is set."""
-        if self.departs and departure.node is not None:
-            self.write(departure, departure.active, mi.Float64(departure.weight), departure.heading)
+        if self.departs:
+            self.write(departure, departure.after_event, mi.Float64(departure.weight), departure.heading)
 
 
 @dataclass

@@ -215,10 +215,10 @@ class Departure:
         Function that returns event k of the path, see `EventReader`.
     active : mi.Bool
         Lanes whose rays leave.
-    nodes : tuple of dr.Local, optional
+    nodes : tuple of dr.Local
         Nodes before the last, see `mistray.kernel.pending_nodes`.
-    node : sequence of mi.Float, optional
-        The last node, see `Visit.node`; None: the rays come straight from their start.
+    node : sequence of mi.Float
+        The last node, see `Visit.node`; of rays that come straight from their start, this start.
     pdf_ratio : mi.Float or None
         pdf_rev/pdf_own of the path: forward rays that find it for each of these backward rays, see
         `mistray.kernel.pdf_ratios`; None: there are no MIS weights.
@@ -257,8 +257,8 @@ class Departure:
     length: mi.UInt32
     event: EventReader
     active: mi.Bool
-    nodes: Any = None
-    node: Sequence[mi.Float] | None = None
+    nodes: Any
+    node: Sequence[mi.Float]
     pdf_ratio: mi.Float | None = None
     connection_ratio: mi.Float | None = None
     light_vertex: mi.UInt32 | None = None
@@ -267,6 +267,11 @@ class Departure:
     def depth(self) -> mi.UInt32:
         """Number of events on each path before its last node."""
         return self.length - 1
+
+    @property
+    def after_event(self) -> mi.Bool:
+        """Mask of the rays that leave after at least one event."""
+        return self.active & (self.length > self.start.given("depth", 0))
 
 
 @dataclass

@@ -126,13 +126,13 @@ class StartRays:
         value = getattr(self, name)
         return otherwise if value is None else value
 
-    def picked(self, index: mi.UInt32) -> StartRays:
+    def picked(self, index: mi.UInt32, active: mi.Bool | bool = True) -> StartRays:
         """
-        Return the start rays at some indices.
+        Return the start rays at some indices; those of inactive lanes have no meaning.
 
         Literal constants stay literal, so that a compiled kernel can be reused.
         """
-        return StartRays(**{f.name: chosen(getattr(self, f.name), index) for f in fields(self)})
+        return StartRays(**{f.name: chosen(getattr(self, f.name), index, active) for f in fields(self)})
 
     def take(self, index: mi.UInt32) -> StartRays:
         """Return the start rays at some indices, evaluated in device memory."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.cache import kept
-from mistray.kernel.targets import Inside, Place, Target
+from mistray.kernel.targets import AnyTarget, Inside, Place, Target
 from mistray.time_budget import is_limited
 
 FEWEST = 8  # surfaces that scatter: a search for fewer takes no longer than a hash of the code, 0.05 s
@@ -70,7 +70,7 @@ def _is_plain(value: Any) -> bool:
     return isinstance(value, bool | int | float | str | bytes)
 
 
-def written(found: Targets) -> list[Any]:
+def written(found: Mapping[Place, Sequence[AnyTarget]]) -> list[Any]:
     """Return targets by place as JSON values: whether it is in a medium, index and side of the surface, targets."""
     rows = []
     for place, targets in found.items():
@@ -79,7 +79,7 @@ def written(found: Targets) -> list[Any]:
     return rows
 
 
-def _facts(target: Target) -> dict[str, Any]:
+def _facts(target: AnyTarget) -> dict[str, Any]:
     """Return the fields of a target by name, arrays as lists of float."""
     facts = {field.name: getattr(target, field.name) for field in fields(target)}
     return {name: fact.tolist() if isinstance(fact, np.ndarray | np.generic) else fact for name, fact in facts.items()}

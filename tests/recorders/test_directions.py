@@ -172,7 +172,8 @@ def test_edges_at_0_and_90_degrees_belong_to_their_cells(load_scene) -> None:
     start: Any = type("Start", (), {"batch": mi.UInt32([0, 5, 6]), "pixel": None})()
     key, weight = dr.zeros(mi.UInt64, 3), mi.Float([1.0, 2.0, 4.0])
     scatters = mi.UInt32([0, 1, 1])
-    sky.depart(Departure(start, d, weight, zero, scatters, key, zero, lambda k, _: k, yes), {})
+    end = Departure(start, d, weight, zero, scatters, key, zero, lambda k, _: k, yes, (), (*d, *d, weight))
+    sky.depart(end, {})
     found = sky.read()
     assert found["cells"].sum() == 3.0
     assert found["elsewhere"][6] == found["elsewhere"].sum() == 4.0

@@ -140,7 +140,7 @@ class Balance:
         The weight of a connected ray that leaves on another path than that of its light vertex is 0.
         """
         # Density with which forward rays would have started on the path
-        p = departure.start.o if departure.node is None else mi.Vector3f(*departure.node[:3])
+        p = mi.Vector3f(*departure.node[:3])
         place = self.waves.place(cell, p, -departure.heading, active)
         density = self.starts.density(cell, place, active)
         # MIS weight: n_i p_i/Σ n_k p_k, relative to the backward ray
