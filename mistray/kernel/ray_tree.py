@@ -67,7 +67,7 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
         supply = None
         if scene.scatters(settings) and StartSupply.pays(scene, settings) and not together.by_ray:
             supply = StartSupply(start)
-        _Tree(scene, start, settings, together, supply).walk()
+        _Tree(scene, start.with_new_literals(), settings, together, supply).walk()
 
 
 class _Tree:

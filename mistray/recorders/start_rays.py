@@ -134,6 +134,15 @@ class StartRays:
         """
         return StartRays(**{f.name: chosen(getattr(self, f.name), index, active) for f in fields(self)})
 
+    def with_new_literals(self) -> StartRays:
+        """
+        Return these start rays with literal constants made anew.
+
+        Dr.Jit orders the code of a kernel by when its constants were made: those of rays that are traced a second time,
+        with more room for what is recorded, would make another kernel.
+        """
+        return StartRays(**{f.name: _made_anew(getattr(self, f.name)) for f in fields(self)})
+
     def take(self, index: mi.UInt32) -> StartRays:
         """Return the start rays at some indices, evaluated in device memory."""
         return self.picked(index).evaluated()
@@ -165,3 +174,14 @@ def chosen(value: Any, index: mi.UInt32, active: mi.Bool | bool = True) -> Any:
     if value.state == dr.VarState.Literal:
         return dr.full(type(value), value[0], dr.width(index))
     return dr.gather(type(value), value, index, active)
+
+
+def _made_anew(value: Any) -> Any:
+    """Return an array, or a list of some, with literal constants made anew; None for None."""
+    if value is None or isinstance(value, mi.PCG32):
+        return value
+    if isinstance(value, list):
+        return [_made_anew(one) for one in value]
+    if dr.depth_v(value) > 1:
+        return type(value)(*map(_made_anew, value))
+    return dr.full(type(value), value[0], dr.width(value)) if value.state == dr.VarState.Literal else value

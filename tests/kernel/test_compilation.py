@@ -18,7 +18,10 @@ from oracles.scatter_scenes import bsdf_xml, placed_xml, scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, write
 
 import mistray
+from mistray.execute.tracer import prepare
 from mistray.kernel.launches import Launches
+from mistray.recorders.tallies import Tallies
+from mistray.settings import Settings
 from mistray.surfaces.upload import download, upload
 
 PAGE = Path(__file__).parents[2] / "docs" / "kernels.md"
@@ -215,6 +218,20 @@ def test_later_launches_of_a_pst_compile_nothing(tmp_path: Path, monkeypatch: py
     for first, *later in kinds:
         assert first
         assert set().union(*later) <= first
+
+
+@pytest.mark.quick
+def test_rays_that_are_traced_again_compile_nothing() -> None:
+    """As those of a pass whose path table was full."""
+    (run,) = prepare(mistray.load("cooke_triplet"), Settings(rays=256))
+    start, found = run.start_pass(0), []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for _ in range(2):
+            dr.kernel_history_clear()
+            run.trace_trees(start, Tallies(run.table))
+            found.append({str(one["hash"]) for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT})
+    assert found[0]
+    assert found[1] <= found[0]
 
 
 def edits(rng: random.Random) -> Case:
