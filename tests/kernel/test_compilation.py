@@ -234,6 +234,16 @@ def test_rays_that_are_traced_again_compile_nothing() -> None:
     assert found[1] <= found[0]
 
 
+@pytest.mark.quick
+def test_objects_take_two_kernels() -> None:
+    """Rays from every surface, from the source and from the detector: one kernel to find the stop, one for all else."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        mistray.objects(mistray.load("cooke_triplet"), rays=500)
+        found = {str(one["hash"]) for one in dr.kernel_history() if one.get("operation_count", 0) > 1000}
+    assert len(found) == 2
+
+
 def edits(rng: random.Random) -> Case:
     """The scene with other numbers, and a trace by another seed, with another number of rays at another angle."""
     changed = {key: {n: x * rng.uniform(0.97, 0.995) for n, x in numbers.items()} for key, numbers in ORDINARY.items()}
