@@ -234,7 +234,8 @@ class Run:
             start.stokes = self.source.stokes_along(d) if stokes is None else stokes
             dr.eval(start.stokes)
         if self.source.shape:
-            start.left = dr.full(mi.UInt32, self.table.ids.index(self.source.shape), lanes)
+            # In memory: as a constant it would make a kernel for each shape
+            start.left = dr.opaque(mi.UInt32, self.table.ids.index(self.source.shape), lanes)
             start.normal = mi.Vector3f(d)  # for Mitsuba's own shapes: the side that the rays leave to
         if self.source.medium:
             start.medium = dr.full(mi.UInt32, self.source.medium, lanes)
