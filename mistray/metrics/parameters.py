@@ -9,7 +9,7 @@ Default tolerances are those of `mistray.metrics.default_tolerances`.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -125,6 +125,7 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
     found = {}
     properties: Any = params.properties
     near: dict[int, list[Any]] = {}  # shapes by the plugins that are part of them
+    own = {id(shape): frozenset(shape_parameters(shape)) for shape in surfaces}
     for shape in surfaces:
         bsdf = shape.bsdf()
         parts = [shape, bsdf, getattr(bsdf, "film", None), *getattr(bsdf, "scatterers", ())]
@@ -132,15 +133,15 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
             near.setdefault(part, []).append(shape)
     for key in params.keys():  # noqa: SIM118  (mi.SceneParameters iterates over pairs)
         owner, name = properties[key][2], key.rsplit(".", 1)[-1]
-        shapes = [shape for shape in near.get(id(owner), ()) if _has(shape, owner, name)]
+        shapes = [shape for shape in near.get(id(owner), ()) if _has(shape, owner, name, own)]
         about = _about(owner, name, shapes)
         if about is None:
             continue
-        value = np.array(peek(params, key), dtype=np.float64).ravel()
+        own_value = owner.values[name] if about in (about_shape, about_source) else peek(params, key)
+        value = np.array(own_value, dtype=np.float64).ravel()
         described = about(owner, name, value)
         if described is not None:
             kind, unit, tolerance, low, high = described
-            value = np.array([owner.values[name]]) if about in (about_shape, about_source) else value
             ids = tuple(str(shape.id()) for shape in shapes)
             found[key] = Parameter(key, kind, unit, value, owner, name, ids, float(tolerance), float(low), float(high))
     return found
@@ -265,17 +266,21 @@ def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, 
 
     `owner` is the plugin that has it, and `shapes` are the shapes that it belongs to.
     """
-    if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
+    if hasattr(owner, "sources") and name in getattr(owner, "differentiable", ()):
         return about_source
     if not shapes:
         return None
     return about_shape if owner is shapes[0] else about_scatter if name in _values(owner) else about_bsdf
 
 
-def _has(shape: Any, owner: Any, name: str) -> bool:
-    """True if parameter `name` of plugin `owner` belongs to a shape: to itself, its BSDF, scatter or coating."""
+def _has(shape: Any, owner: Any, name: str, own: Mapping[int, Collection[str]]) -> bool:
+    """
+    True if parameter `name` of plugin `owner` belongs to a shape: to itself, its BSDF, scatter or coating.
+
+    `own` has the names of the parameters of shapes by their ``id()``.
+    """
     if owner is shape:
-        return name in shape_parameters(shape)
+        return name in own[id(shape)]
     bsdf = shape.bsdf()
     if name in SHIFTS:
         return owner is bsdf and hasattr(bsdf, "coating")
