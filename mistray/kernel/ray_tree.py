@@ -4,7 +4,8 @@ The kernel: every lane walks the whole ray tree of its start ray, depth first, a
 A lane holds one node at a time: a point on a surface, reached along a direction with a throughput β, its flux in units
 of the start ray's. At each visit it sends one of the node's children on (see `mistray.kernel.branching`) and marks its
 depth as pending if others have flux. When a branch ends the lane returns to the deepest pending node and sends on the
-next child. The nodes of the path lie in local memory by depth, so that nothing can overflow below `max_events`.
+next child. The nodes of the path lie in local memory by depth, so that nothing can overflow below `max_events`. A start
+ray has no node yet: its first visit only sends it on, so that the code of a visit is all there is.
 """
 
 from __future__ import annotations
@@ -215,7 +216,7 @@ class _Tree:
         # Store the node for its later visits and as part of the path, and record the branch
         path, code = self._store(node, choice, sent, path, codes, memory)
 
-        # Start: a start ray has had no node, and sets off as it is
+        # Start: a start ray has no node, and sets off as it is
         sent = self._with_start_rays(node, sent)
 
         # Intersect and attenuate: the child's next surface, or its way out of the scene
@@ -415,9 +416,8 @@ class _Tree:
 
     @staticmethod
     def _with_start_rays(node: Node, sent: Sent) -> Sent:
-        """Return the rays that set off in this visit: the child rays of nodes, and start rays, which have had none."""
+        """Return the rays that set off in this visit: the child rays of nodes, and start rays that have flux."""
         state, starts = node.state, node.starts
-        # Those without flux go nowhere; those that begin at a node are there
         return replace(
             sent,
             origin=dr.select(starts, state["p"], sent.origin),
