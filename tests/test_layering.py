@@ -3,6 +3,8 @@
 import ast
 import graphlib
 import re
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -230,3 +232,13 @@ def test_names_of_mitsuba_releases_are_in_one_file():
     for file in (file for file in FILES if file.name != "_mitsuba_compat.py"):
         nodes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Constant)]
         assert not {node.value for node in nodes if isinstance(node.value, str)} & RELEASE_NAMES, file
+
+
+def test_a_trace_loads_nothing_that_makes_lenses():
+    """Nor what reads lens files: a sixth of the modules that a command waits for."""
+    program = (
+        "import sys, mistray; mistray.trace(mistray.load('cooke_triplet'), rays=64); "
+        "print([name for name in sys.modules if name.startswith(('mistray.prescription', 'mistray.io', 'pandas'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]", done.stdout

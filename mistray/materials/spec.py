@@ -11,6 +11,7 @@ from mistray.ranges import ABBE_NUMBER, EXTINCTION, INDEX, INDEX_SHIFT, SCATTER_
 
 MITSUBA = "mitsuba/"  # before the name of a material of which Mitsuba has tables
 LEAST_REAL = 0.99  # n without k: gases and vacuum may lie below the air that is 1 in a lens file
+GAS_INDEX = 1.01  # below it a medium is no solid and no liquid
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _REAL = re.compile(rf"[-+]?{_NUMBER}")
 _COMPLEX = re.compile(rf"([-+]?{_NUMBER})\s*([-+])\s*({_NUMBER})\s*[ij]")

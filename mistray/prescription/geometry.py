@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.materials.spec import GAS_INDEX
 from mistray.named_values import number_of
 from mistray.physics.geometry.outline import Outline, circle, rectangle
 from mistray.physics.geometry.sag import conic_end
@@ -29,7 +30,6 @@ ITEMS = Several(OfType(Surface | Stop, "must be a Surface or a Stop, or several"
 ABSORBER = Coating(R=0.0)
 
 _SAMPLES = 257
-GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
 _TOLERANCE_MM = 1e-9
 _AROUND = 1.001  # radius of a face around its outline by that of the outline, so that corners lie within
 

@@ -31,9 +31,9 @@ from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.coatings.fitted_to_substrate import unfitted
 from mistray.errors import MistrayError, errors_of
 from mistray.materials import bulk_scatter, complex_index
+from mistray.materials.spec import GAS_INDEX
 from mistray.messages import Message
 from mistray.notes import Note
-from mistray.prescription.geometry import GAS_INDEX
 from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.surfaces.upload import upload
 

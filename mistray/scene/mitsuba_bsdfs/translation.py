@@ -18,7 +18,7 @@ import numpy as np
 from mistray.coatings import METAL_K
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, nearest_known_nm, table_nodes_nm
-from mistray.prescription.geometry import GAS_INDEX
+from mistray.materials.spec import GAS_INDEX
 from mistray.ranges import SHARE
 from mistray.scene.allowed_plugins import STOCK
 from mistray.scene.check import property_of
