@@ -224,10 +224,9 @@ class Run:
         # Batches of a grid are random, because blocks of its rows would be no samples of it
         blocks = mi.UInt32(mi.Float64(index) * dr.opaque(mi.Float64, BATCHES / lanes))
         batch = scrambled % BATCHES if self.source.pattern == "grid" else blocks
-        dr.eval(lane, batch, rng)
         # Rays of the source
         o, d, w, stokes = self.source.start(lane, batch, self.rays, rng, self.table.centre)
-        dr.eval(o, d, w, stokes, rng)
+        dr.eval(lane, batch, o, d, w, stokes, rng)
         # A weight of 1 stays a literal, so that all such sources share one kernel
         start = StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes) if w is None else w, scale=w)
         if self.settings.stokes and self.source.polarized:
