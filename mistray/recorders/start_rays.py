@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, fields
 from typing import Any
 
@@ -132,7 +133,7 @@ class StartRays:
 
         Literal constants stay literal, so that a compiled kernel can be reused.
         """
-        return StartRays(**{f.name: chosen(getattr(self, f.name), index, active) for f in fields(self)})
+        return self._mapped(lambda value: dr.gather(type(value), value, index, active), dr.width(index))
 
     def with_new_literals(self) -> StartRays:
         """
@@ -141,7 +142,10 @@ class StartRays:
         Dr.Jit orders the code of a kernel by when its constants were made: those of rays that are traced a second time,
         with more room for what is recorded, would make another kernel.
         """
-        return StartRays(**{f.name: _made_anew(getattr(self, f.name)) for f in fields(self)})
+        return self._mapped(lambda value: value)
+
+    def _mapped(self, change: Callable[[Any], Any], width: int | None = None) -> StartRays:
+        return StartRays(**{f.name: _mapped(getattr(self, f.name), change, width) for f in fields(self)})
 
     def take(self, index: mi.UInt32) -> StartRays:
         """Return the start rays at some indices, evaluated in device memory."""
@@ -153,35 +157,24 @@ class StartRays:
         return self
 
 
-def chosen(value: Any, index: mi.UInt32, active: mi.Bool | bool = True) -> Any:
+def _mapped(value: Any, change: Callable[[Any], Any], width: int | None) -> Any:
     """
-    Return entries of an array at some indices, or of each array in a list; of None, None.
+    Return an array, or each array of a vector, generator or list, after `change`; None for None.
 
-    A literal constant stays literal. The entries of inactive lanes are 0, or that constant.
+    A literal constant is made anew instead, with `width` entries; None: with as many as it has.
     """
     if value is None:
         return None
     if isinstance(value, list):
-        return [chosen(one, index, active) for one in value]
+        return [_mapped(one, change, width) for one in value]
     if isinstance(value, mi.PCG32):
         # A gather takes no generator: its two words are gathered one by one
         rng = mi.PCG32()
-        rng.state, rng.inc = chosen(value.state, index, active), chosen(value.inc, index, active)
+        rng.state, rng.inc = _mapped(value.state, change, width), _mapped(value.inc, change, width)
         return rng
     if dr.depth_v(value) > 1:
-        return type(value)(*(chosen(one, index, active) for one in value))
-    # A gather would make a variable of a literal, and so another kernel
+        return type(value)(*(_mapped(one, change, width) for one in value))
+    # A changed literal would be a variable, and its kernel another one
     if value.state == dr.VarState.Literal:
-        return dr.full(type(value), value[0], dr.width(index))
-    return dr.gather(type(value), value, index, active)
-
-
-def _made_anew(value: Any) -> Any:
-    """Return an array, or a list of some, with literal constants made anew; None for None."""
-    if value is None or isinstance(value, mi.PCG32):
-        return value
-    if isinstance(value, list):
-        return [_made_anew(one) for one in value]
-    if dr.depth_v(value) > 1:
-        return type(value)(*map(_made_anew, value))
-    return dr.full(type(value), value[0], dr.width(value)) if value.state == dr.VarState.Literal else value
+        return dr.full(type(value), value[0], dr.width(value) if width is None else width)
+    return change(value)
