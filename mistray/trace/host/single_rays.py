@@ -157,11 +157,9 @@ class ChainTracer:
         o, d = table.upload_points(start.o), mi.Vector3f(*(upload(mi.Float, column) for column in start.d.T))
         w = upload(mi.Float, start.weight)
         # In memory: as constants they would make kernels of their own for the first step of each start
-        index = upload(mi.Float, np.ones(n))
-        last, medium = (
-            upload(mi.UInt32, np.full(n, number, dtype=np.uint32))
-            for number in (NO_SURFACE if start.left < 0 else start.left, start.medium)
-        )
+        index = dr.opaque(mi.Float, 1, n)
+        last = dr.opaque(mi.UInt32, NO_SURFACE if start.left < 0 else start.left, n)
+        medium = dr.opaque(mi.UInt32, start.medium, n)
         lane = np.arange(n)
         behind = None
         if start.normal is not None and table.mitsuba_scene is not None:
