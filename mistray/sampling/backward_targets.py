@@ -31,7 +31,7 @@ from mistray.sampling.importance_targets import (
     automatic_targets,
     signature,
 )
-from mistray.sampling.kept_targets import kept_targets, read, written
+from mistray.sampling.kept_targets import kept_targets, read, read_list, written, written_list
 from mistray.settings import Settings
 from mistray.surfaces.host_points import across, box_corners, lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
@@ -47,7 +47,6 @@ OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its
 SKY_DEG = (10.0, 35.0, 80.0)  # field angles up to which the discs of the sky reach
 LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
 
-_START: Place = (0, False)  # under which targets of rays that start on the detector are written
 _known: dict[str, BackwardTargets] = {}
 
 
@@ -77,8 +76,8 @@ class BackwardTargets:
     def written(self) -> dict[str, Any]:
         """Return the targets and fractions as JSON values; the numbers of rays, which are 1, are left out."""
         return {
-            "aims": written({place: [*aim.targets] for place, aim in self.aims.items()}),
-            "start": written({_START: [*self.start.targets] if self.start else []}),
+            "aims": written({place: aim.targets for place, aim in self.aims.items()}),
+            "start": written_list(self.start.targets if self.start else ()),
             "light": None if self.light is None else self.light.tolist(),
             "views": [[surface, share] for surface, share in self.views.items()],
         }
@@ -86,7 +85,7 @@ class BackwardTargets:
     @classmethod
     def read(cls, content: Any) -> BackwardTargets:
         """Return the targets that `written` wrote; raise ValueError, TypeError or KeyError for other content."""
-        aims, start, light = read(content["aims"]), read(content["start"])[_START], content["light"]
+        aims, start, light = read(content["aims"]), read_list(content["start"]), content["light"]
         return cls(
             {place: AimSet.of(targets, 1) for place, targets in aims.items()},
             AimSet.of(start, 1) if start else None,

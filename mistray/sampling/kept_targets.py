@@ -75,8 +75,13 @@ def written(found: Mapping[Place, Sequence[AnyTarget]]) -> list[Any]:
     rows = []
     for place, targets in found.items():
         surface, at_back = (place.surface, place.at_back) if isinstance(place, Inside) else place
-        rows.append([isinstance(place, Inside), int(surface), bool(at_back), [_facts(target) for target in targets]])
+        rows.append([isinstance(place, Inside), int(surface), bool(at_back), written_list(targets)])
     return rows
+
+
+def written_list(targets: Sequence[AnyTarget]) -> list[dict[str, Any]]:
+    """Return targets as JSON values."""
+    return [_facts(target) for target in targets]
 
 
 def _facts(target: AnyTarget) -> dict[str, Any]:
@@ -88,6 +93,11 @@ def _facts(target: AnyTarget) -> dict[str, Any]:
 def read(content: Any) -> Targets:
     """Return the targets that `written` wrote; raise ValueError, TypeError or KeyError for other content."""
     return {
-        Inside(surface, at_back) if inside else (surface, at_back): [Target(**facts) for facts in targets]
+        Inside(surface, at_back) if inside else (surface, at_back): read_list(targets)
         for inside, surface, at_back, targets in content
     }
+
+
+def read_list(content: Any) -> list[Target]:
+    """Return the targets that `written_list` wrote; raise ValueError, TypeError or KeyError for other content."""
+    return [Target(**facts) for facts in content]
