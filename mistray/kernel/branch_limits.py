@@ -168,14 +168,14 @@ class BranchLimits:
         self._cut(CONSECUTIVE, flux, over & contributes)
         return hit & ~over
 
-    def run_after(self, run: mi.UInt32, surface: mi.UInt32, by_medium: mi.Bool, starts: mi.Bool) -> mi.UInt32:
+    def run_after(self, run: mi.UInt32, surface: mi.UInt32, by_medium: mi.Bool) -> mi.UInt32:
         """
         Return the count of consecutive hits of a surface, packed with the surface's index, after one more hit.
 
-        Scatter in a medium resets it. `run` is returned as it is for rays that start, and if there is no limit.
+        Scatter in a medium resets it. Where `max_consecutive` sets no limit, `run` is returned as it is.
         """
         if self._consecutive is None:
             return run
         # Another surface starts a new run
         times = dr.select((run & SURFACE_MASK) == surface, run >> RUN_SHIFT, 0) + 1
-        return dr.select(starts, run, dr.select(by_medium, NO_RUN, surface | (times << RUN_SHIFT)))
+        return dr.select(by_medium, NO_RUN, surface | (times << RUN_SHIFT))

@@ -23,7 +23,7 @@ from mistray.kernel.branch_limits import NO_RUN, BranchLimits
 from mistray.kernel.branching import REFLECT, START, TRANSMIT, Branching, Children, Choice, Node, Sent
 from mistray.kernel.interaction import event_code, interact, is_diffraction
 from mistray.kernel.kernel_scene import KernelScene, film_coordinates, next_hit
-from mistray.kernel.pdf_ratios import PdfRatios
+from mistray.kernel.pdf_ratios import PdfRatios, State
 from mistray.kernel.pending_nodes import (
     LEVELS,
     OPTIONAL,
@@ -44,8 +44,6 @@ from mistray.surfaces.optics import DETECTOR, NO_LOSS
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surface_rows import LaneRows
 
-State = dict[str, Any]
-
 
 def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorders: Sequence[Recorder | None]) -> None:
     """
@@ -65,9 +63,8 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     # What a user differentiates by, such as the vertices of a mesh, does not make a trace differentiable
     with dr.suspend_grad():
         together = Recorders(recorders)
-        supply = None
-        if scene.scatters(settings) and StartSupply.pays(scene, settings) and not together.by_ray:
-            supply = StartSupply(start)
+        pays = scene.scatters(settings) and StartSupply.pays(scene, settings) and not together.by_ray
+        supply = StartSupply(start) if pays else None
         _Tree(scene, start.with_new_literals(), settings, together, supply).walk()
 
 
@@ -201,7 +198,6 @@ class _Tree:
         """Visit one node per lane, and return the variables of the loop at the next node."""
         path, codes = state["memory"]
         memory = dict(state["recorders"])
-        direct_depth = dr.select(state["reflections"] == 0, state["depth"], state["direct_depth"])
 
         # Interact: Snell's law, R and T, scattering shares. A first visit records the hit and what is absorbed
         node = self._interact(start, state, path, codes, memory)
@@ -223,7 +219,7 @@ class _Tree:
         following, hit = self._follow(node, children, choice, sent, path, codes, code, memory)
 
         # Return to the deepest pending node where the branch has ended
-        following |= self._go_back(node, choice, hit, direct_depth, memory)
+        following |= self._go_back(node, choice, hit, following["depth"], memory)
         # A start ray sets off without a draw
         rng = mi.PCG32(node.rng)
         rng.state = dr.select(node.starts, state["rng"].state, rng.state)
@@ -471,8 +467,12 @@ class _Tree:
         start, state, it, bulk, scatters = node.start, node.state, node.interaction, self.bulk, self.scatters
         table, depth, s, starts = self.scene.table, state["depth"], state["s"], node.starts
         scatter, by_medium, reflect, go = choice.scatter, choice.by_medium, sent.reflect, sent.active
-        key = dr.select(starts, state["key"], extend_key(state["key"], code))
-        events = dr.select(starts, depth, depth + 1)
+
+        # No event has happened to a start ray: what events change stays as it is
+        def after_event(name: str, value: Any) -> Any:
+            return dr.select(starts, state[name], value)
+
+        key, events = after_event("key", extend_key(state["key"], code)), after_event("depth", depth + 1)
 
         # Intersect; start rays that begin at a node are there
         medium = dr.select(reflect | by_medium | starts, sent.medium_in, it.medium_out)
@@ -492,7 +492,7 @@ class _Tree:
         self.recorders.lose(channel, sent.flux, gone & sent.contributes, memory)
         recorded = travels & sent.contributes
         self.recorders.travel(Segment(start, sent.origin, sent.heading, sent.flux, medium, t, gone, recorded), memory)
-        run = self.limits.run_after(state["run"], s, by_medium, starts)
+        run = after_event("run", self.limits.run_after(state["run"], s, by_medium))
         hit = self.limits.arrive(run, s2, sent.flux, hit, sent.contributes)
 
         # Counts of the path: reflections and scatter events
@@ -518,7 +518,7 @@ class _Tree:
                     state, it, sent.heading, through, sent.pdfs.pdf_rev, scatter, by_medium, t
                 )
                 following["light_vertex"] = sent.light_vertex
-            following = {name: dr.select(starts, state[name], value) for name, value in following.items()}
+            following = {name: after_event(name, value) for name, value in following.items()}
 
         # Record what leaves the scene
         if self.scene.backward or self.recorders.departs:
@@ -560,8 +560,8 @@ class _Tree:
         elif bulk:  # nothing is followed: a first visit records what the medium scatters
             following["in_scattered"] = in_scattered
         if it.polarized:
-            after = dr.select(starts, state["stokes"], it.polarized.after(reflect, sent.heading))
-            following["stokes"] = dr.select(scattered, 0, after)
+            polarized = dr.select(scattered, 0, it.polarized.after(reflect, sent.heading))
+            following["stokes"] = after_event("stokes", polarized)
         following |= {
             # A start ray that meets nothing has no node; all others look for their first child there
             "child": dr.select(starts & ~hit, mi.UInt32(START), TRANSMIT),
@@ -573,15 +573,16 @@ class _Tree:
             "medium": medium,
             "reflections": dr.select(bounced, state["reflections"] + 1, state["reflections"]),
             "key": key,
+            "depth": events,
             "run": run,
             "segments": dr.select(go, state["segments"] + 1, state["segments"]),
         }
         return following, hit
 
-    def _go_back(self, node: Node, choice: Choice, hit: mi.Bool, direct_depth: mi.UInt32, memory: Memory) -> State:
+    def _go_back(self, node: Node, choice: Choice, hit: mi.Bool, events: mi.UInt32, memory: Memory) -> State:
         """Return the loop variables that change where a branch has ended and its lane goes back to a pending node."""
-        state = node.state
-        depth = state["depth"]
+        state, depth = node.state, node.state["depth"]
+        direct_depth = dr.select(state["reflections"] == 0, depth, state["direct_depth"])
         pending = dr.select(choice.pending, depth + 1, state["pending"])
         ended = state["active"] & ~hit
         back = ended & (pending != 0)
@@ -594,6 +595,6 @@ class _Tree:
             "active": hit | back,
             "resume_level": dr.select(back, level, 0),
             "direct_depth": direct_depth,
-            "depth": dr.select(back, k, dr.select(node.starts, depth, depth + 1)),
+            "depth": dr.select(back, k, events),
             "pending": pending,
         }

@@ -9,7 +9,6 @@ that its sums are those of a batch. A ray has its own random numbers, so that it
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -17,12 +16,12 @@ import numpy as np
 
 from mistray._variant import lanes_of_threads, on_gpu
 from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.pdf_ratios import State
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.upload import upload
 
-State = dict[str, Any]
 MANY_SURFACES = 4  # number of transmitting surfaces from which on trees are large
 
 
