@@ -27,6 +27,7 @@ from mistray.recorders.film import Box, Film, Images, Pixels, groups_of, spreads
 from mistray.recorders.ledger import FULL, DecodedPaths, Ledger
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.recorder import Recorder, Recorders
+from mistray.recorders.sampler import tree_seeds
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.recorders.tallies import STARTED, Tallies
 from mistray.sampling.design.search import design_sequences, traced_tables
@@ -226,9 +227,10 @@ class Run:
         batch = scrambled % BATCHES if self.source.pattern == "grid" else blocks
         # Rays of the source
         o, d, w, stokes = self.source.start(lane, batch, self.rays, rng, self.table.centre)
-        dr.eval(lane, batch, o, d, w, stokes, rng)
+        seed = tree_seeds(self.seed, batch)
+        dr.eval(lane, batch, o, d, w, stokes, seed)
         # A weight of 1 stays a literal, so that all such sources share one kernel
-        start = StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes) if w is None else w, scale=w)
+        start = StartRays(lane, batch, seed, o, d, dr.full(mi.Float, 1, lanes) if w is None else w, scale=w)
         if self.settings.stokes and self.source.polarized:
             start.stokes = self.source.stokes_along(d) if stokes is None else stokes
             dr.eval(start.stokes)

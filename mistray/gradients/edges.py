@@ -51,6 +51,7 @@ from mistray.recorders.adjoint import GAIN, Adjoint
 from mistray.recorders.branch_recorder import NODE_FLOATS, BranchRecorder, as_many
 from mistray.recorders.path_key import mixed_events
 from mistray.recorders.recorder import Memory, Recorder, Return, Visit
+from mistray.recorders.sampler import tree_seeds
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER, RIM_COLUMNS
@@ -401,10 +402,8 @@ class Edges:
         # The order of the rows varies from run to run: the seed of each ray comes from its path and its hit
         bits = dr.reinterpret_array(mi.UInt32, p.x) ^ (dr.reinterpret_array(mi.UInt32, p.y) * 0x85EBCA6B)
         lane = dr.gather(mi.UInt32, near.paths.lane, row)
-        own = mi.UInt32(key) ^ mi.UInt32(key >> 32) ^ bits ^ dr.opaque(mi.UInt32, self._settings.seed ^ STREAM)
-        state, sequence = mi.sample_tea_32(own, lane)
-        rng = mi.PCG32()  # the constructor would add the number of the row to both
-        rng.seed(mi.UInt64(state), mi.UInt64(sequence))
+        own = mi.UInt32(key) ^ mi.UInt32(key >> 32) ^ bits
+        seed = tree_seeds(self._settings.seed ^ STREAM, own)
         # Assemble the start rays; jumps have a start of their own
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
         o, d, left, at = self._jump(row, jump, p, s, (o, d, left, corner.at))
@@ -412,10 +411,10 @@ class Edges:
         path_class, none = None, dr.zeros(mi.UInt32, dr.width(row))
         if classed:
             path_class = mixed_events(partial(near.paths.event_code, row), none, length - 1, none, whole)
-        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, path_class=path_class, **before)
+        start = StartRays(lane=lane, seed=seed, o=o, d=d, w=w, left=left, at=at, path_class=path_class, **before)
         place = s * len(RIM_COLUMNS) + rim
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
-        dr.eval(rng, vars(start), place, factor, joined)
+        dr.eval(vars(start), place, factor, joined)
         return start, place, factor, joined
 
     def _jump(

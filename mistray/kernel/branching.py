@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -26,6 +26,7 @@ from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.scatter_shares import CONNECTED, Connection, ScatterBudget, ScatteredRay, ScatterPdfs
 from mistray.recorders.path_key import COUNT_MASK, scatters_done
 from mistray.recorders.recorder import Memory
+from mistray.recorders.sampler import BRANCH, EVENT, Sampler
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import EVENTS, REFLECTIONS, ROULETTE, SAMPLING, SCATTERS, THRESHOLD
 from mistray.settings import Settings
@@ -62,12 +63,12 @@ class Node:
         Lanes without a node, whose start ray sets off.
     contributes : mi.Bool
         Lanes whose flux enters the energy ledger; not those of connected rays, whose light other rays carry as well.
-    rng : mi.PCG32
-        Random number generator of each lane.
+    sampler : Sampler
+        Random numbers of each node.
     split : mi.UInt32
         Factor of the weight window on the number of rays that the surface scatters at random, see `WeightWindows`.
     survival : mi.Float
-        Probability of the weight window that a node scatters at the first visit.
+        Probability of the weight window that a node scatters.
     """
 
     start: StartRays
@@ -80,7 +81,7 @@ class Node:
     again: mi.Bool
     starts: mi.Bool
     contributes: mi.Bool
-    rng: mi.PCG32
+    sampler: Sampler
     split: mi.UInt32
     survival: mi.Float
 
@@ -128,21 +129,6 @@ class Children:
     remainder: mi.UInt32 | int
 
 
-class ScatterFactors(NamedTuple):
-    """
-    Factors 1/q on the throughput of scattered rays, with the roulette probability q to scatter; 0 where ended.
-
-    Attributes
-    ----------
-    surface, medium : mi.Float
-        Factors for the surface and for the medium before it. They differ only where one of transmission, reflection and
-        scatter of the surface takes the flux of all.
-    """
-
-    surface: mi.Float
-    medium: mi.Float
-
-
 @dataclass
 class Choice:
     """
@@ -160,12 +146,10 @@ class Choice:
         Throughput of the child; 0: none is sent on.
     scatter, by_medium : mi.Bool
         Whether the surface scatters it, and whether the medium before it does.
-    kept : ScatterFactors
-        Roulette factors for later visits to the node.
     factor : mi.Float
         Factor on the throughput of a ray that the surface scatters.
     draw, draw_in_medium : callable
-        ``draw(rng)`` returns the ray of the surface, ``draw_in_medium(rng)`` that of the medium.
+        ``draw(sampler)`` returns the ray of the surface, ``draw_in_medium(sampler)`` that of the medium.
     """
 
     number: mi.UInt32
@@ -174,10 +158,9 @@ class Choice:
     flux: mi.Float
     scatter: mi.Bool
     by_medium: mi.Bool
-    kept: ScatterFactors
     factor: mi.Float
-    draw: Callable[[mi.PCG32], ScatteredRay]
-    draw_in_medium: Callable[[mi.PCG32], MediumRay]
+    draw: Callable[[Sampler], ScatteredRay]
+    draw_in_medium: Callable[[Sampler], MediumRay]
 
 
 @dataclass(frozen=True)
@@ -333,13 +316,17 @@ class Branching:
         w_s = dr.select((vertex == 0) | (under_way & there), w_s, 0)
         return dr.select(under_way, 0, w_t), dr.select(under_way, 0, w_r), w_s
 
-    def _connection(self, node: Node, rng: mi.PCG32) -> Connection:
-        """Return the connection of a node to a random light vertex, or at that vertex back along its incident light."""
+    def _connection(self, node: Node, u: mi.Float) -> Connection:
+        """
+        Return the connection of a node to a light vertex, or at that vertex back along its incident light.
+
+        The random number u chooses the light vertex.
+        """
         assert self._vertices is not None
         it, vertex = node.interaction, node.state["light_vertex"]
         # The word of a ray at its vertex gets the flag CONNECTED
         there = vertex != 0
-        number, factor = self._vertices.pick(self._batch, rng.next_float32())
+        number, factor = self._vertices.pick(self._batch, u)
         number = dr.select(there, vertex - 1, number)
         to_vertex = dr.normalize(self._vertices.point(number, ~there) - it.p)
         direction = dr.select(there, -self._vertices.heading(number, there), to_vertex)
@@ -361,33 +348,32 @@ class Branching:
         scatter_limit = state["reference"] * self._scatter_threshold
         limit = dr.select(unscattered, self._flux_limit(node) if self._roulette else 0, scatter_limit)
         # One random number for all children, whose survival may depend on each other's without bias
-        draws = self._roulette or self._scatters or self._probabilities is not None
-        u = node.rng.next_float32() if draws else mi.Float(0)
+        u, choice = node.sampler.pair(BRANCH)
         if not self._split:
-            return self._one(node, children, unscattered, limit, u, memory)
-        factors = self._kept(state)
-        if self._scatters:
-            factors = self._scatter_factors(node, children, scatter_limit, u)
+            return self._one(node, children, unscattered, limit, (u, choice), memory)
+        # Later visits draw the same numbers, and so come to the same result
+        factor = medium_factor = (
+            self._scatter_factor(node, children, scatter_limit, u) if self._scatters else mi.Float(1)
+        )
         if self._optics.one_child:
-            factors = self._only_child(node, children, factors)
+            factor = self._only_child(node, children, factor, choice)
         if self._scatters:
             scattered = children.scattered + children.in_scattered
             self._lost(node, children.remainder, scattered, first & (scattered > 0), memory)
         self._cut_weak(node, children, unscattered, limit, u, memory)
-        return self._next(node, children, factors)
+        return self._next(node, children, factor, medium_factor)
 
     def _flux_limit(self, node: Node) -> mi.Float:
         """Return the throughput of `flux_threshold`, below which unscattered light is cut or plays roulette."""
         return self._threshold * node.start.given("scale", 1)
 
-    def _scatter_factors(self, node: Node, children: Children, scatter_limit: mi.Float, u: mi.Float) -> ScatterFactors:
+    def _scatter_factor(self, node: Node, children: Children, scatter_limit: mi.Float, u: mi.Float) -> mi.Float:
         """
-        Return roulette factors 1/q of nodes that scatter, 0 for others.
+        Return the roulette factors 1/q of nodes that scatter, 0 for others, by the random number `u`.
 
-        At the first visit they are drawn with the random number `u`; the probability q grows with throughput relative
-        to `scatter_limit`. Later visits take the stored factors.
+        The probability q grows with throughput relative to `scatter_limit`.
         """
-        state, first, w = node.state, node.first, node.state["w"]
+        state, w = node.state, node.state["w"]
         # q = β/β_min, where β includes what the medium has scattered
         limit = scatter_limit
         if self._backward:
@@ -398,17 +384,11 @@ class Branching:
         q = dr.minimum((w + state["in_scattered"] if self._bulk else w) / limit, 1)
         # Probabilities by surface, and by weight window; a connected ray always scatters at its vertex
         if self._probabilities is not None:
-            q = q * dr.gather(mi.Float, self._probabilities.scatter, state["s"], first)
+            q = q * dr.gather(mi.Float, self._probabilities.scatter, state["s"], node.visit)
         if self._windows:
             connected = mi.Bool(False) if self._vertices is None else state["light_vertex"] != 0
             q = q * dr.select(connected, 1, node.survival)
-        factor = dr.select(1 - u <= q, dr.rcp(q), 0)
-        return ScatterFactors(*(dr.select(first, factor, kept) for kept in self._kept(state)))
-
-    def _kept(self, state: dict[str, Any]) -> ScatterFactors:
-        """Return the roulette factors 1/q of scattered rays that each node stored at its first visit."""
-        surface = state["scatter_factor"]
-        return ScatterFactors(surface, state["medium_factor"] if self._bulk and self._optics.one_child else surface)
+        return dr.select(1 - u <= q, dr.rcp(q), 0)
 
     def plays_roulette(self, it: Interaction, children: Children) -> mi.Bool:
         """Return a mask of nodes at which a reflection of unscattered light plays roulette by branch probabilities."""
@@ -429,25 +409,24 @@ class Branching:
         return dr.select(by_roulette & unscattered, raised, state["reference"])
 
     @staticmethod
-    def _only_child(node: Node, children: Children, factors: ScatterFactors) -> ScatterFactors:
+    def _only_child(node: Node, children: Children, factor: mi.Float, u: mi.Float) -> mi.Float:
         """
-        Return the roulette factors after one of transmission, reflection and scatter has taken all the throughput.
+        Return the roulette factor after one of transmission, reflection and scatter has taken all the throughput.
 
-        This holds for surfaces with the flag `ONE_CHILD`; `children` is changed in place. Light that the medium has
-        scattered is still sent on.
+        The random number u draws one. This holds for surfaces with the flag `ONE_CHILD`; `children` is changed in
+        place. Light that the medium has scattered is still sent on.
         """
         # Each with a probability in proportion to its flux, and with the flux of all
         w_t, w_r, w_s = children.transmitted, children.reflected, children.scattered
         w_all = w_t + w_r + w_s
-        chosen = node.rng.next_float32() * w_all
-        only = node.first & ((node.interaction.word & ONE_CHILD) != 0)
+        chosen = u * w_all
+        only = node.visit & ((node.interaction.word & ONE_CHILD) != 0)
         to_t, to_r = chosen < w_t, (chosen >= w_t) & ((chosen < w_t + w_r) | (w_s == 0))
-        factor = factors.surface
         factor = dr.select(only, dr.select(to_t | to_r, 0, factor * w_all / w_s), factor)
         children.transmitted = dr.select(only, dr.select(to_t, w_all, 0), w_t)
         children.reflected = dr.select(only, dr.select(to_r, w_all, 0), w_r)
         children.scattered = dr.select(only, dr.select(to_t | to_r, 0, w_all), w_s)
-        return factors._replace(surface=factor)
+        return factor
 
     def _cut_weak(
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
@@ -458,7 +437,7 @@ class Branching:
         Roulette is played with the random number `u`: by children below the throughput `limit`, and by unscattered
         reflections where there are branch probabilities. Which of these apply depends on the settings.
         """
-        first, again, probabilities = node.first, node.again, self._probabilities
+        first, probabilities = node.first, self._probabilities
         w_t, w_r, u_r = children.transmitted, children.reflected, u
 
         # Cut unscattered light below the flux threshold
@@ -473,36 +452,39 @@ class Branching:
         if probabilities is not None:
             by_roulette = unscattered & self.plays_roulette(node.interaction, children)
             u_r = dr.select(by_roulette, u / probabilities.reflection, u)  # of those that survive uniform again
-            kept_r = dr.select(by_roulette, dr.select(again | (u_r < 1), w_r / probabilities.reflection, 0), w_r)
+            kept_r = dr.select(by_roulette, dr.select(u_r < 1, w_r / probabilities.reflection, 0), w_r)
             self._lost(node, ROULETTE, w_r - kept_r, first & by_roulette, memory)
             w_r = kept_r
 
-        # Roulette of weak light; a later visit is for a child that has survived
+        # Roulette of weak light
         if self._roulette or self._scatters:
             kept_t, kept_r = (
                 dr.select((v > 0) & (v < limit), dr.select(draw * limit < v, limit, 0), v)
                 for v, draw in ((w_t, u), (w_r, u_r))
             )
-            kept_r = dr.select(again & (w_r > 0), dr.maximum(w_r, limit), kept_r)
             self._lost(node, ROULETTE, w_t + w_r - kept_t - kept_r, first & (dr.minimum(w_t, w_r) < limit), memory)
             w_t, w_r = kept_t, kept_r
         children.transmitted, children.reflected = w_t, w_r
 
     # ---- the choice
 
-    def _next(self, node: Node, children: Children, factors: ScatterFactors) -> Choice:
-        """Return the next child with flux at each node; with ``splitting="split"`` each visit sends on one."""
+    def _next(self, node: Node, children: Children, factor: mi.Float, medium_factor: mi.Float) -> Choice:
+        """
+        Return the next child with flux at each node; with ``splitting="split"`` each visit sends on one.
+
+        The factors are those of roulette on what the surface scatters, and on what the medium does.
+        """
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays
 
         # Children: transmitted, reflected, scattered by the surface (random, aimed, connected), scattered by the medium
         own_rays = random_rays + children.aimed_rays
-        scattered_rays = dr.select((factors.surface > 0) & (w_s > 0), own_rays + children.connected_rays, 0)
+        scattered_rays = dr.select((factor > 0) & (w_s > 0), own_rays + children.connected_rays, 0)
         if self._vertices is not None:  # at its light vertex a connected ray has one child, backward to the light
             at_vertex = node.state["light_vertex"] != 0
             scattered_rays = dr.select(at_vertex, dr.minimum(scattered_rays, 1), scattered_rays)
-        end = SCATTER + scattered_rays + dr.select((factors.medium > 0) & (w_m > 0), children.medium_rays, 0)
+        end = SCATTER + scattered_rays + dr.select((medium_factor > 0) & (w_m > 0), children.medium_rays, 0)
 
         # This one, and whether the lane has to come back for another
         after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
@@ -514,16 +496,17 @@ class Branching:
         flux = dr.select(number == TRANSMIT, w_t, dr.select(number == REFLECT, w_r, 0))
         scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
         by_medium = visit & (number >= SCATTER + scattered_rays) & (number < end)
-        flux = dr.select(by_medium, w_m * factors.medium, flux)
+        flux = dr.select(by_medium, w_m * medium_factor, flux)
 
-        def draw(rng: mi.PCG32) -> ScatteredRay:
+        def draw(sampler: Sampler) -> ScatteredRay:
             assert budget is not None
+            event, vertex = sampler.pair(EVENT)
             if self._vertices is None:
-                return budget.ray(number - SCATTER, random_rays, rng)
-            connection = self._connection(node, rng)
-            return budget.ray(dr.select(at_vertex, own_rays, number - SCATTER), random_rays, rng, connection)
+                return budget.ray(number - SCATTER, random_rays, event)
+            connection = self._connection(node, vertex)
+            return budget.ray(dr.select(at_vertex, own_rays, number - SCATTER), random_rays, event, connection)
 
-        def draw_in_medium(rng: mi.PCG32) -> MediumRay:
+        def draw_in_medium(_: Sampler) -> MediumRay:
             assert bulk_aim is not None
             aimed = number >= SCATTER + scattered_rays + random_medium_rays
             return MediumRay(aimed, mi.Float(random_medium_rays), mi.Float(bulk_aim.rays))
@@ -535,22 +518,31 @@ class Branching:
             flux=flux,
             scatter=scatter,
             by_medium=by_medium,
-            kept=factors,
-            factor=factors.surface,
+            factor=factor,
             draw=draw,
             draw_in_medium=draw_in_medium,
         )
 
     def _one(
-        self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
+        self,
+        node: Node,
+        children: Children,
+        unscattered: mi.Bool,
+        limit: mi.Float,
+        u: tuple[mi.Float, mi.Float],
+        memory: Memory,
     ) -> Choice:
-        """Return the child of ``splitting="one"``, drawn in proportion to flux, with that of all; see `_cut_weak`."""
+        """
+        Return the child of ``splitting="one"``, drawn in proportion to flux, with that of all; see `_cut_weak`.
+
+        The two random numbers u are for roulette and for the choice of the child.
+        """
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays
         # A share of the flux of all, drawn uniformly, falls to one of them
         w_all = w_t + w_r + w_s + w_m
-        chosen = node.rng.next_float32() * w_all
+        chosen = u[1] * w_all
         number = dr.select(
             chosen < w_t,
             mi.UInt32(TRANSMIT),
@@ -561,7 +553,7 @@ class Branching:
         flux = w_all
         if self._roulette or self._scatters:
             small = (w_all > 0) & (w_all < limit)
-            flux = dr.select(small, dr.select(u * limit < w_all, limit, 0), w_all)
+            flux = dr.select(small, dr.select(u[0] * limit < w_all, limit, 0), w_all)
             self._lost(node, ROULETTE, w_all - flux, visit & small, memory)
         if not self._roulette:
             cut = unscattered & (w_all < self._flux_limit(node))
@@ -576,15 +568,15 @@ class Branching:
         if self._scatters:
             self._lost(node, children.remainder, flux, scatter | by_medium, memory)
 
-        def draw(rng: mi.PCG32) -> ScatteredRay:
+        def draw(sampler: Sampler) -> ScatteredRay:
             assert budget is not None
-            return budget.one_ray(w_s / w_all, random_rays, rng)
+            return budget.one_ray(w_s / w_all, random_rays, sampler.pair(EVENT))
 
-        def draw_in_medium(rng: mi.PCG32) -> MediumRay:
+        def draw_in_medium(sampler: Sampler) -> MediumRay:
             bulk = self._scattering.bulk
             assert bulk is not None
             assert bulk_aim is not None
-            return bulk.one_ray(bulk_aim, random_medium_rays, rng)
+            return bulk.one_ray(bulk_aim, random_medium_rays, sampler.pair(EVENT)[1])
 
         return Choice(
             number=number,
@@ -593,7 +585,6 @@ class Branching:
             flux=flux,
             scatter=scatter,
             by_medium=by_medium,
-            kept=self._kept(node.state),
             factor=flux / w_all,
             draw=draw,
             draw_in_medium=draw_in_medium,

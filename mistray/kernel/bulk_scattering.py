@@ -26,6 +26,7 @@ from mistray.kernel.interaction import Interaction
 from mistray.kernel.lobes import tangents
 from mistray.kernel.targets import AimSet, Inside, Place
 from mistray.physics.henyey_greenstein import phase_about, sampled_cosine
+from mistray.recorders.sampler import DIRECTION, EVENT, TECHNIQUE, Sampler
 from mistray.surfaces.optics import THIN
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -98,18 +99,18 @@ class BulkScattering:
         row = dr.gather(mi.Vector4u, self._rows, side, active)
         return BulkAim(row.xy, row.z)
 
-    def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> MediumRay:
+    def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, u: mi.Float) -> MediumRay:
         """
         Return the sampling technique, phase function or target, of the only scattered ray of a segment.
 
-        With targets, the ray is aimed with probability ½, or always if there is no random ray. Without targets it
-        follows the phase function.
+        With targets, the random number u aims the ray with probability ½, or always if there is no random ray. Without
+        targets it follows the phase function.
         """
         if not self._aimed:
             return MediumRay(mi.Bool(False), mi.Float(1), mi.Float(0))
         # Always aimed where `max_random_scatters` leaves no random ray
         aiming = dr.select(aim.rays > 0, dr.select(random_rays > 0, mi.Float(0.5), 1), 0)
-        return MediumRay(rng.next_float32() < aiming, 1 - aiming, aiming)
+        return MediumRay(u < aiming, 1 - aiming, aiming)
 
     def scatter(
         self,
@@ -119,7 +120,7 @@ class BulkScattering:
         length: mi.Float,
         aim: BulkAim,
         ray: MediumRay,
-        rng: mi.PCG32,
+        sampler: Sampler,
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.Vector3f, mi.Float]:
         """
@@ -137,8 +138,8 @@ class BulkScattering:
             Importance targets of the segments.
         ray : MediumRay
             Sampling technique of the rays.
-        rng : mi.PCG32
-            Random number generator of each lane.
+        sampler : Sampler
+            Random numbers of the rays.
         active : mi.Bool
             Lanes that take part.
 
@@ -153,24 +154,24 @@ class BulkScattering:
         """
         coefficient = dr.gather(mi.Float, self._optics.extinction, medium, active)
         g = dr.gather(mi.Float, self._optics.asymmetry, medium, active)
-        u = [rng.next_float32() for _ in range(3)]
+        (along, _), u, (choice, _) = (sampler.pair(number) for number in (EVENT, DIRECTION, TECHNIQUE))
 
         # Place: invert ∫ exp(μ x) dx, where x is the distance from the end; uniform in a thin medium. It is
         # ln(1 + u (e^τ - 1))/μ of the optical depth τ; where that is large it is taken out, for e^τ ends at τ = 88
         depth = coefficient * length
         scaled = dr.select(
             depth < 1,
-            dr.log(dr.fma(u[0], dr.exp(depth) - 1, 1)),
-            depth + dr.log(dr.fma(1 - u[0], dr.exp(-depth), u[0])),
+            dr.log(dr.fma(along, dr.exp(depth) - 1, 1)),
+            depth + dr.log(dr.fma(1 - along, dr.exp(-depth), along)),
         )
-        away = dr.select(depth < THIN, u[0] * length, scaled / dr.maximum(coefficient, 1e-30))
+        away = dr.select(depth < THIN, along * length, scaled / dr.maximum(coefficient, 1e-30))
         away = dr.clip(away, 0, length)
 
         # Direction by the Henyey-Greenstein phase function about d
-        cosine = sampled_cosine(u[1], g)
+        cosine = sampled_cosine(u[0], g)
         sine = dr.sqrt(dr.maximum(dr.fma(-cosine, cosine, 1), 0))
         across, beside = tangents(d)
-        sin_phi, cos_phi = dr.sincos(2 * dr.pi * u[2])
+        sin_phi, cos_phi = dr.sincos(2 * dr.pi * u[1])
         direction = dr.normalize(cosine * d + sine * (cos_phi * across + sin_phi * beside))
         if not self._aimed:
             return away, direction, mi.Float(1)
@@ -178,9 +179,7 @@ class BulkScattering:
         # Direction towards a target. In a medium the specular direction is d
         origin = dr.fma(-away, d, p)
         here = active & (ray.aimed_rays > 0)
-        to_target, own = self._targets.sample(
-            aim.targets, [u[1], u[2], mi.Float(0), rng.next_float32()], origin, d, here & ray.aim
-        )
+        to_target, own = self._targets.sample(aim.targets, choice, u, origin, d, here & ray.aim)
         direction = dr.select(here & ray.aim, to_target, direction)
 
         # MIS weight: f/(n_r f + n_a p)

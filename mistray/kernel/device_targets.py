@@ -58,7 +58,13 @@ class DeviceTargets:
         return [dr.gather(mi.Vector4f, self._values, VECTORS * number + k, active) for k in range(count)]
 
     def sample(
-        self, aims: mi.Vector2u, u: list[mi.Float], p: mi.Vector3f, specular: mi.Vector3f, active: mi.Bool
+        self,
+        aims: mi.Vector2u,
+        choice: mi.Float,
+        u: tuple[mi.Float, mi.Float],
+        p: mi.Vector3f,
+        specular: mi.Vector3f,
+        active: mi.Bool,
     ) -> tuple[mi.Vector3f, mi.UInt32]:
         """
         Return a random unit direction to a target that is drawn by its share, and the index of that target in its set.
@@ -67,8 +73,10 @@ class DeviceTargets:
         ----------
         aims : mi.Vector2u
             Index of the first target and number of targets.
-        u : list of mi.Float
-            Random numbers: 0 and 1 place the direction, 3 chooses the target.
+        choice : mi.Float
+            Random number, 0 … 1, that chooses the target.
+        u : tuple of mi.Float
+            Two random numbers, 0 … 1, that choose the direction to it.
         p : mi.Vector3f
             Start of the ray, mm.
         specular : mi.Vector3f
@@ -80,11 +88,15 @@ class DeviceTargets:
         # Choose a target by the sums of the shares so far
         def later(k: mi.UInt32) -> mi.Bool:
             upto = dr.gather(mi.Float, self._values, 4 * VECTORS * (aims.x + k) + SHARES, active)
-            return active & (k + 1 < aims.y) & (u[3] >= upto)
+            return active & (k + 1 < aims.y) & (choice >= upto)
 
         # A loop, since surfaces have different numbers of targets
         (k,) = dr.while_loop(
-            (dr.zeros(mi.UInt32, dr.width(u[3])),), later, lambda k: (k + 1,), mode="symbolic", label="choose a target"
+            (dr.zeros(mi.UInt32, dr.width(choice)),),
+            later,
+            lambda k: (k + 1,),
+            mode="symbolic",
+            label="choose a target",
         )
 
         # Flat: a point, uniform over the area, as in `Target.points`

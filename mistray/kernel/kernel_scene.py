@@ -11,7 +11,7 @@ from mistray.kernel.interaction import Interaction
 from mistray.kernel.light_vertices import LightVertices
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.importance import BACK
-from mistray.recorders.path_key import mixed_word
+from mistray.recorders.sampler import mixed_word
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import ESCAPED, MEDIUM
 from mistray.settings import Settings
@@ -82,19 +82,22 @@ class WeightWindows:
             return weight
         return weight * dr.gather(mi.Float, self.values, start.cell, active)
 
-    def read(self, row: mi.UInt32, weight: mi.Float, split: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.Float]:
+    def read(
+        self, row: mi.UInt32, weight: mi.Float, known: tuple[mi.UInt32, mi.Float], active: mi.Bool
+    ) -> tuple[mi.UInt32, mi.Float]:
         """
         Return the factor on a hit's number of scattered rays, and the probability that the hit scatters.
 
-        The factor is `weight` over the upper bound, 1 … `MOST_RAYS`; it remains `split` in lanes that are not active.
-        The probability is `weight` over the lower bound, `LEAST_PROBABILITY` … 1. For `row` see
+        The factor is `weight` over the upper bound, 1 … `MOST_RAYS`. The probability is `weight` over the lower bound,
+        `LEAST_PROBABILITY` … 1. In lanes that are not active both are those in `known`. For `row` see
         `mistray.recorders.importance.window_row`.
         """
         above, below = (
             weight * dr.gather(mi.Float, inverse, row, active) for inverse in (self.inverse_upper, self.inverse_lower)
         )
         rays = mi.UInt32(dr.clip(dr.round(above), 1, MOST_RAYS))
-        return dr.select(active, rays, split), dr.clip(below, LEAST_PROBABILITY, 1)
+        probability = dr.clip(below, LEAST_PROBABILITY, 1)
+        return dr.select(active, rays, known[0]), dr.select(active, probability, known[1])
 
 
 @dataclass(frozen=True)

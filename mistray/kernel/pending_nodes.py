@@ -34,6 +34,7 @@ ALWAYS: dict[str, tuple[type, int]] = {
 }
 OPTIONAL: dict[str, tuple[type, int]] = {
     "run": WORD,
+    "seed": WORD,
     "normal": VECTOR,
     "stokes": VECTOR,
     "child": WORD,
@@ -42,8 +43,7 @@ OPTIONAL: dict[str, tuple[type, int]] = {
     "medium": WORD,
     "reference": FLOAT,
     "split": WORD,
-    "scatter_factor": FLOAT,
-    "medium_factor": FLOAT,
+    "survival": FLOAT,
     "pdf_ratio": FLOAT,
     "survival_ratio": FLOAT,
     "partial_ratio": FLOAT,
@@ -141,18 +141,19 @@ class PendingNodes:
 def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:
     """Return the names of the node variables in `OPTIONAL` that a trace of the scene needs."""
     table, scatters, competing = scene.table, scene.scatters(settings), scene.competing
-    bulk = table.optics.scatters
+    bulk, roulette = table.optics.scatters, settings.below_threshold == "roulette" or scene.probabilities is not None
+    draws = scatters or roulette or settings.splitting == "one" or table.optics.one_child
     names_by_need: tuple[tuple[bool, set[str]], ...] = (
         (settings.limits_consecutive, {"run"}),
+        (draws, {"seed"}),
         (settings.stokes, {"stokes"}),
         (table.mitsuba_scene is not None, {"normal"}),
         (bulk, {"length", "in_scattered"}),
         (competing is not None, {"pdf_ratio", "survival_ratio"}),
         (competing is not None and competing.connects, {"partial_ratio", "connection_ratio", "light_vertex"}),
-        (scatters, {"child", "medium", "scatters", "aimed_from", "reference", "scatter_factor"}),
-        (scene.windows is not None, {"split"}),
+        (scatters, {"child", "medium", "scatters", "aimed_from", "reference"}),
+        (scene.windows is not None, {"split", "survival"}),
         (scatters and bulk, {"away", "shared"}),
-        (scatters and bulk and table.optics.one_child, {"medium_factor"}),
     )
     return {name for is_needed, names in names_by_need if is_needed for name in names}
 

@@ -135,8 +135,7 @@ class _Tree:
             # Throughput at the source or after the last scatter event, see `Branching.reference`
             "reference": mi.Float(start.given("reference", start.w)),
             "split": full(1),  # factor of its weight window on the number of its scattered rays
-            "scatter_factor": dr.full(mi.Float, 1, n),  # 1/q of its scattered rays, see `ScatterFactors`
-            "medium_factor": dr.full(mi.Float, 1, n),  # 1/q of those that its medium scatters, where it differs
+            "survival": dr.full(mi.Float, 1, n),  # probability of its weight window that it scatters
             # Density ratios for MIS weights
             **PdfRatios.first(n if self.pdf_ratios is not None else 1, n if self.connects else 1),
             # Number of the light vertex plus one that a ray is connected to, see `CONNECTED`; 0 of others
@@ -149,7 +148,7 @@ class _Tree:
             "in_scattered": dr.zeros(mi.Float, n if self.bulk else 1),  # flux scattered on the way
             "direct_depth": full(),  # deepest node of the current path before its first reflection
             "resume_level": full(),  # level at which the lane waits, see `pending_nodes`; 0: it is under way
-            "rng": mi.PCG32(start.rng),
+            "seed": mi.UInt32(start.seed),  # of the random numbers of the node
         }
 
     # ---- the loop
@@ -220,10 +219,7 @@ class _Tree:
 
         # Return to the deepest pending node where the branch has ended
         following |= self._go_back(node, choice, hit, following["depth"], memory)
-        # A start ray sets off without a draw
-        rng = mi.PCG32(node.rng)
-        rng.state = dr.select(node.starts, state["rng"].state, rng.state)
-        following = {**state, **following, "rng": rng}
+        following = {**state, **following}
         if self.supply is not None:
             done = state["active"] & ~following["active"]
             self._complete(start, following, done, memory)
@@ -321,11 +317,11 @@ class _Tree:
             connection_ratio=None if ratios is None else ratios.connection_ratio_at_end(state),
         )
         # Weight window, found once: rounding may put a later visit into the place beside
-        split, survival = state["split"], mi.Float(1)
+        split, survival = state["split"], state["survival"]
         if (windows := self.scene.windows) is not None:
             hits.window_place = windows.place(it)
             row = window_row(s, hits.window_place, hits.before(first), state["scatters"] & COUNT_MASK)
-            split, survival = windows.read(row, windows.value(start, w, first), split, first)
+            split, survival = windows.read(row, windows.value(start, w, first), (split, survival), first)
         self.recorders.visit(hits, memory)
         return Node(
             start=start,
@@ -338,14 +334,14 @@ class _Tree:
             again=again,
             starts=starts,
             contributes=contributes,
-            rng=mi.PCG32(state["rng"]),
+            sampler=start.sampler(state["seed"]),
             split=split,
             survival=survival,
         )
 
     def _send(self, node: Node, children: Children, choice: Choice, memory: Memory) -> Sent:
         """Return the chosen child ray of each node; its flux is 0 where no child goes on, for example at a limit."""
-        state, it, budget, rng = node.state, node.interaction, node.budget, node.rng
+        state, it, budget, sampler = node.state, node.interaction, node.budget, node.sampler.child(choice.number)
         w, d, s, p = state["w"], state["d"], state["s"], it.p
         table, scattering = self.scene.table, self.scene.scattering
         scatter, by_medium, flux = choice.scatter, choice.by_medium, choice.flux
@@ -359,8 +355,8 @@ class _Tree:
         if self.scatters and budget is not None:
             competing = None if self.scene.competing is None else self.scene.competing.scattering
             hit, connects = ScatterHit(table, s, it, d), self.scene.vertices is not None
-            heading, share, scatter_slope, back_side, aim, rng, pdfs = scattering.scatter(
-                hit, budget, choice.draw, heading, rng, scatter, competing, connects
+            heading, share, scatter_slope, back_side, aim, pdfs = scattering.scatter(
+                hit, budget, choice.draw, heading, sampler, scatter, competing, connects
             )
             reflect = dr.select(scatter, back_side, reflect)
             slope = dr.select(scatter, scatter_slope, slope)
@@ -371,9 +367,9 @@ class _Tree:
         medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
         away, shared, bulk_aim = mi.Float(0), mi.Float(0), children.bulk_aim
         if bulk_aim is not None and scattering.bulk is not None:
-            medium_ray = choice.draw_in_medium(rng)
+            medium_ray = choice.draw_in_medium(sampler)
             away, along, share = scattering.bulk.scatter(
-                medium_in, p, d, state["length"], bulk_aim, medium_ray, rng, by_medium
+                medium_in, p, d, state["length"], bulk_aim, medium_ray, sampler, by_medium
             )
             away = dr.select(by_medium, away, 0)
             origin, heading = dr.fma(-away, d, p), dr.select(by_medium, along, heading)
@@ -381,7 +377,6 @@ class _Tree:
             shared = dr.select(by_medium & (bulk_aim.rays > 0), flux, 0)
             flux = dr.select(by_medium, flux * share, flux)
             aim |= by_medium & medium_ray.aim
-        node.rng = rng
 
         # The flux of scattered rays leaves the remainder, and limits may end the branch
         vertex, contributes = state["light_vertex"], node.contributes
@@ -429,8 +424,8 @@ class _Tree:
         """Store nodes by depth and report their child rays to recorders; return the stored nodes and event codes."""
         state, it = node.state, node.interaction
         depth, go = state["depth"], sent.active
-        stored = {**state, "p": sent.origin, "away": sent.away, "split": node.split}
-        stored |= {"child": choice.later, "scatter_factor": choice.kept.surface, "medium_factor": choice.kept.medium}
+        stored = {**state, "p": sent.origin, "away": sent.away, "child": choice.later}
+        stored |= {"split": node.split, "survival": node.survival}
         path = self.nodes.keep(path, stored, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
         aim = mi.Bool(False) if self.merges_aimed else sent.aim
         code = event_code(
@@ -550,10 +545,7 @@ class _Tree:
                 "scatters": scatter_word,
                 "aimed_from": dr.select(scattered, dr.select(sent.aim, sent.place, NO_SURFACE), aimed_from),
                 "reference": dr.select(scattered, sent.flux, reference),
-                "scatter_factor": dr.full(mi.Float, 1, self.n),
             }
-            if "medium_factor" in self.needed:
-                following["medium_factor"] = dr.full(mi.Float, 1, self.n)
             if bulk:
                 shared = dr.select(scattered, sent.shared, state["shared"])
                 following |= {"length": t, "in_scattered": in_scattered, "away": mi.Float(0), "shared": shared}
@@ -573,6 +565,7 @@ class _Tree:
             "medium": medium,
             "reflections": dr.select(bounced, state["reflections"] + 1, state["reflections"]),
             "key": key,
+            "seed": after_event("seed", node.sampler.child(choice.number).seed),
             "depth": events,
             "run": run,
             "segments": dr.select(go, state["segments"] + 1, state["segments"]),

@@ -97,16 +97,16 @@ class ScatterBudget:
     random_rays: mi.UInt32
 
     def ray(
-        self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, connection: Connection | None = None
+        self, number: mi.UInt32, random_rays: mi.UInt32, u: mi.Float, connection: Connection | None = None
     ) -> ScatteredRay:
         """
         Return the event and the sampling technique of the scattered ray with index `number` of a node.
 
-        The first `random_rays` are drawn at random, then come the aimed ones of transmission and of reflection, and
-        then those of `connection`, if there is one.
+        The first `random_rays` are drawn at random, their event by the random number u. Then come the aimed ones of
+        transmission and of reflection, and then those of `connection`, if there is one.
         """
         aim = number >= random_rays
-        at_random = rng.next_float32() * self.scattered >= self.transmission.scattered
+        at_random = u * self.scattered >= self.transmission.scattered
         reflect = dr.select(aim, number >= random_rays + self.aimed_t, at_random)
         connects = mi.Bool(False)
         if connection is not None:
@@ -117,18 +117,19 @@ class ScatterBudget:
         aimed = mi.Float(dr.select(reflect, self.aimed_r, self.aimed_t))
         return ScatteredRay(reflect, aim, mi.Float(random_rays) * event_share, aimed, connects, connection)
 
-    def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
+    def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, u: tuple[mi.Float, mi.Float]) -> ScatteredRay:
         """
         Return the event and sampling technique of a node's only scattered ray, sent with `probability`.
 
+        Two random numbers u choose them.
         Where its event has targets, the ray is aimed with probability ½, or always if `random_rays` is 0. Without
         targets and without random rays it has no weight.
         """
-        reflect = rng.next_float32() * self.scattered >= self.transmission.scattered
+        reflect = u[0] * self.scattered >= self.transmission.scattered
         event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
         aimed = dr.select(reflect, self.aimed_r, self.aimed_t) > 0
         aiming = dr.select(aimed, dr.select(random_rays > 0, mi.Float(0.5), 1), 0)
-        aim = rng.next_float32() < aiming
+        aim = u[1] < aiming
         probability = probability * event_share
         at_random = dr.select(random_rays > 0, 1 - aiming, 0)
         return ScatteredRay(reflect, aim, probability * at_random, probability * aiming, mi.Bool(False))

@@ -42,6 +42,7 @@ from mistray.kernel.scatter_tables import (
     ScatterTables,
 )
 from mistray.kernel.targets import AimSet, Place
+from mistray.recorders.sampler import DIRECTION, TECHNIQUE, Sampler
 from mistray.scatter.lobe import factor
 from mistray.scatter.radial import R_MAX
 from mistray.surfaces.surfaces import SurfaceTable
@@ -126,13 +127,13 @@ class Scattering(ScatterShares):
         self,
         hit: ScatterHit,
         budget: ScatterBudget,
-        choose: Callable[[mi.PCG32], ScatteredRay],
+        choose: Callable[[Sampler], ScatteredRay],
         otherwise: mi.Vector3f,
-        rng: mi.PCG32,
+        sampler: Sampler,
         active: mi.Bool,
         competing: Scattering | None = None,
         connects: bool = False,
-    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, mi.PCG32, ScatterPdfs]:
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, ScatterPdfs]:
         """
         Return a random scattered ray of each hit: direction, flux with its MIS weight, and pdfs.
 
@@ -143,11 +144,11 @@ class Scattering(ScatterShares):
         budget : ScatterBudget
             Fractions that the hits scatter and absorb.
         choose : callable
-            ``choose(rng)`` returns the ray of the node that is to be drawn.
+            ``choose(sampler)`` returns the ray of the node that is to be drawn.
         otherwise : mi.Vector3f
             Direction returned where a lane is inactive or the ray carries nothing.
-        rng : mi.PCG32
-            Random number generator of each lane.
+        sampler : Sampler
+            Random numbers of the rays.
         active : mi.Bool
             Lanes that take part.
         competing : Scattering, optional
@@ -165,31 +166,28 @@ class Scattering(ScatterShares):
             d ln(weight) / d(R or T).
         reflect, aim : mi.Bool
             Whether it stays on the side of incidence, and whether it goes to a target.
-        rng : mi.PCG32
-            Random number generator of each lane.
         pdfs : ScatterPdfs
             Densities of the direction, for MIS weights.
         """
 
         # A conditional block returns loose arrays: the ray, and the densities that the trace needs
-        def draw(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
-            rng = mi.PCG32(rng)
-            ray = choose(rng)
-            *drawn, pdf_ratio, pdf_rev = self._draw(hit, budget, ray, otherwise, rng, competing)
+        def draw(otherwise: mi.Vector3f) -> tuple[Any, ...]:
+            ray = choose(sampler)
+            *drawn, pdf_ratio, pdf_rev = self._draw(hit, budget, ray, otherwise, sampler, competing)
             known = [] if competing is None else [pdf_ratio, pdf_rev]
             if connects:
                 assert ray.connection is not None
                 known.append(dr.select(ray.connects, ray.connection.word, 0))
-            return *drawn, ray.reflect, ray.aim, rng, *known
+            return *drawn, ray.reflect, ray.aim, *known
 
-        def leave(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
-            stay = mi.Vector3f(otherwise), mi.Float(0), mi.Float(0), mi.Bool(False), mi.Bool(False), rng
+        def leave(otherwise: mi.Vector3f) -> tuple[Any, ...]:
+            stay = mi.Vector3f(otherwise), mi.Float(0), mi.Float(0), mi.Bool(False), mi.Bool(False)
             known = [] if competing is None else [mi.Float(1), mi.Float(0)]
             return *stay, *known, *([mi.UInt32(0)] if connects else [])
 
         # Few lanes scatter at a time: packets of lanes without one skip all this
-        result: tuple[Any, ...] = dr.if_stmt((rng, otherwise), active, draw, leave, mode="symbolic", label="scatter")
-        return *result[:6], ScatterPdfs(*result[6:])
+        result: tuple[Any, ...] = dr.if_stmt((otherwise,), active, draw, leave, mode="symbolic", label="scatter")
+        return *result[:5], ScatterPdfs(*result[5:])
 
     def _draw(
         self,
@@ -197,7 +195,7 @@ class Scattering(ScatterShares):
         budget: ScatterBudget,
         ray: ScatteredRay,
         otherwise: mi.Vector3f,
-        rng: mi.PCG32,
+        sampler: Sampler,
         competing: Scattering | None,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float, mi.Float]:
         """
@@ -209,14 +207,14 @@ class Scattering(ScatterShares):
         # The case of reflection follows that of transmission from the same side
         case = budget.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
         plan, lobes, frame = self._case(case, s, it, d, ray.reflect)
-        # Four numbers: lobe or target, radius, azimuth, and the place within a cell of the radial table
-        u = [rng.next_float32() for _ in range(4)]
+        # Random numbers: a place on the lobe or target, and which one it is
+        u, (choice, kept) = sampler.pair(DIRECTION), sampler.pair(TECHNIQUE)
         total = sum((lobe["flux"] for lobe in lobes), mi.Float(0))
         # Sample: at random, towards a target, or to a light vertex
-        direction = self._random(lobes, total, u, frame)
+        direction = self._random(lobes, total, (choice, *u, kept), frame)
         own = mi.UInt32(0)
         if self.tables.aimed:
-            aimed, own = self.tables.targets.sample(plan.zw, u, it.p, frame.specular, ray.aim)
+            aimed, own = self.tables.targets.sample(plan.zw, choice, u, it.p, frame.specular, ray.aim)
             direction = dr.select(ray.aim, aimed, direction)
         if ray.connection is not None:
             direction = dr.select(ray.connects, ray.connection.direction, direction)
@@ -415,13 +413,14 @@ class Scattering(ScatterShares):
         self,
         lobes: list[dict[str, Any]],
         total: mi.Float,
-        u: list[mi.Float],
+        u: tuple[mi.Float, mi.Float, mi.Float, mi.Float],
         frame: LobeFrame,
     ) -> mi.Vector3f:
         """
         Return a unit direction drawn from the lobes, each chosen in proportion to its flux.
 
-        The four uniform numbers `u` choose a lobe by its flux, of which all have `total`, and a place in its profile.
+        The first of four uniform numbers `u` chooses a lobe by its flux, of which all have `total`, the others a radius
+        and an azimuth in its profile, and whether a cell of its table is kept.
         """
         # The lobe, by its flux
         outward, scale = frame.outward, frame.scale

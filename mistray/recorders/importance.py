@@ -14,8 +14,9 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.events import EVENT_BITS, FIRST_SCATTERED, kind_of, place_of, stays
-from mistray.recorders.path_key import COUNT_MASK, NO_EVENT, mixed_word
+from mistray.recorders.path_key import COUNT_MASK, NO_EVENT
 from mistray.recorders.recorder import Departure, Memory, Visit
+from mistray.recorders.sampler import mixed_word
 
 WAYS = 1024  # approaches and places at a surface that are told apart by hashing; more of them share rows
 PLACES = "places of scatter events"  # entry of the memory of lanes

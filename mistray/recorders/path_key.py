@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.recorders.sampler import mixed_word
 from mistray.recorders.start_rays import StartRays
 
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; bits
@@ -35,13 +36,6 @@ def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
     """
     key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
     return key ^ (key >> 29)
-
-
-def mixed_word(word: mi.UInt32) -> mi.UInt32:
-    """Return a 32-bit hash of a word in which every bit depends on all bits of the word; steps as in MurmurHash3."""
-    mixed = word * 0x85EBCA6B
-    mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
-    return mixed ^ (mixed >> 16)
 
 
 def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: mi.UInt32, active: mi.Bool) -> mi.UInt32:

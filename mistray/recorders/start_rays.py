@@ -10,6 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.recorders.sampler import Sampler
+
 
 def generators(seed: int, lane: mi.UInt32, group: mi.UInt32 | None = None) -> tuple[mi.PCG32, mi.UInt32]:
     """
@@ -51,12 +53,14 @@ class StartRays:
         Indices of the start rays within the trace.
     batch : mi.UInt32
         Batch of each ray, for standard errors.
-    rng : mi.PCG32
-        One generator for each lane.
+    seed : mi.UInt32
+        Seed of the random numbers of each ray's tree, see `mistray.recorders.sampler`.
     o, d : mi.Vector3f
         Origins relative to `SurfaceTable.centre` (mm), and unit directions.
     w : mi.Float
         Throughput at the start: 1, or the weight with which the ray was sampled.
+    index : mi.UInt32, optional
+        Index of each ray in the sequences of these numbers; None: `lane`.
     left : mi.UInt32, optional
         Index of the surface that the rays start on; None: they start on none.
     normal : mi.Vector3f, optional
@@ -93,11 +97,12 @@ class StartRays:
 
     lane: mi.UInt32
     batch: mi.UInt32
-    rng: mi.PCG32
+    seed: mi.UInt32
     o: mi.Vector3f
     d: mi.Vector3f
     w: mi.Float
     _: KW_ONLY
+    index: mi.UInt32 | None = None
     left: mi.UInt32 | None = None
     normal: mi.Vector3f | None = None
     pixel: mi.UInt32 | None = None
@@ -126,6 +131,10 @@ class StartRays:
         """Return an optional attribute by its name, or the default `otherwise` if it is None."""
         value = getattr(self, name)
         return otherwise if value is None else value
+
+    def sampler(self, seed: mi.UInt32) -> Sampler:
+        """Return the random numbers of the rays at nodes of their trees that have the given seeds."""
+        return Sampler(self.given("index", self.lane), seed)
 
     def picked(self, index: mi.UInt32, active: mi.Bool | bool = True) -> StartRays:
         """
@@ -159,7 +168,7 @@ class StartRays:
 
 def _mapped(value: Any, change: Callable[[Any], Any], width: int | None) -> Any:
     """
-    Return an array, or each array of a vector, generator or list, after `change`; None for None.
+    Return an array, or each array of a vector or list, after `change`; None for None.
 
     A literal constant is made anew instead, with `width` entries; None: with as many as it has.
     """
@@ -167,11 +176,6 @@ def _mapped(value: Any, change: Callable[[Any], Any], width: int | None) -> Any:
         return None
     if isinstance(value, list):
         return [_mapped(one, change, width) for one in value]
-    if isinstance(value, mi.PCG32):
-        # A gather takes no generator: its two words are gathered one by one
-        rng = mi.PCG32()
-        rng.state, rng.inc = _mapped(value.state, change, width), _mapped(value.inc, change, width)
-        return rng
     if dr.depth_v(value) > 1:
         return type(value)(*(_mapped(one, change, width) for one in value))
     # A changed literal would be a variable, and its kernel another one

@@ -26,6 +26,7 @@ from mistray.kernel.targets import AimSet
 from mistray.messages import Message
 from mistray.notes import Note
 from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
+from mistray.recorders.sampler import tree_seeds
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.outlines import detector_area
 from mistray.sampling.sharing.start_map import DeviceMap, StartMap
@@ -232,7 +233,7 @@ class DetectorStart:
         index = dr.arange(mi.UInt32, lanes)
         rng, _ = generators(seed, index)
         batch, place = stratified_places(index, lanes, rng)
-        return self.rays(index, batch, place, rng, dr.opaque(mi.Float, weight), pixels)
+        return self.rays(index, batch, place, rng, tree_seeds(seed, batch), dr.opaque(mi.Float, weight), pixels)
 
     def rays(
         self,
@@ -240,6 +241,7 @@ class DetectorStart:
         batch: mi.UInt32,
         place: mi.Float64,
         rng: mi.PCG32,
+        seed: mi.UInt32,
         weight: mi.Float,
         pixels: tuple[int, int],
     ) -> StartRays:
@@ -254,6 +256,8 @@ class DetectorStart:
             Random number, 0 … 1, stratified within each batch.
         rng : mi.PCG32
             Random number generator of each lane.
+        seed : mi.UInt32
+            Seed of the random numbers of each ray's tree.
         weight : mi.Float
             Mean weight of the rays.
         pixels : tuple of int
@@ -293,8 +297,7 @@ class DetectorStart:
         if self._targets is not None:
             targets, count = self._targets
             plan = dr.zeros(mi.Vector2u, dr.width(lane)) + mi.Vector2u(0, count)
-            spare = rng.next_float32()
-            to_target, own = targets.sample(plan, [u[0], u[1], spare, spare], p, outward, aim)
+            to_target, own = targets.sample(plan, rng.next_float32(), (u[0], u[1]), p, outward, aim)
             d = dr.select(aim, to_target, d)
         if self._targets is not None or self._guide is not None:
             at = None
@@ -308,7 +311,7 @@ class DetectorStart:
         left = dr.full(mi.UInt32, self._table.detector, dr.width(lane))
         medium = dr.select(back, self._media[1], self._media[0])
         pixel = self.pixel(x, y, *pixels)
-        return StartRays(lane, batch, rng, p, d, w, left=left, normal=normal, pixel=pixel, medium=medium, scale=w)
+        return StartRays(lane, batch, seed, p, d, w, left=left, normal=normal, pixel=pixel, medium=medium, scale=w)
 
     def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """

@@ -174,7 +174,7 @@ class RenderedScattering(Scattering):
             here = (rest >= 0) & (rest < lobe["flux"])
             left = dr.select(here, rest / lobe["flux"], left)
             rest = rest - lobe["flux"]
-        return self._random(lobes, total, [u, v.x, v.y, dr.minimum(left, ONE_LESS)], frame)
+        return self._random(lobes, total, (u, v.x, v.y, dr.minimum(left, ONE_LESS)), frame)
 
     def evaluate(self, reflect: mi.Bool, direction: mi.Vector3f, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
         """

@@ -18,6 +18,7 @@ import mistray
 from mistray.errors import MistrayError
 from mistray.kernel.targets import AimSet, Inside, Target
 from mistray.physics import planck
+from mistray.recorders.sampler import tree_seeds
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.detector_start import FROM_BACK, DetectorStart, stratified_places
 from mistray.sampling.importance_targets import importance_targets
@@ -79,7 +80,7 @@ def rays_of(start: DetectorStart, lanes: int = LANES, seed: int = 1) -> StartRay
     index = dr.arange(mi.UInt32, lanes)
     rng = mi.PCG32(size=lanes, initstate=seed)
     batch, place = stratified_places(index, lanes, rng)
-    return start.rays(index, batch, place, rng, mi.Float(1), (4, 4))
+    return start.rays(index, batch, place, rng, tree_seeds(seed, batch), mi.Float(1), (4, 4))
 
 
 def host(v: Any) -> np.ndarray:

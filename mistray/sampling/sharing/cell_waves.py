@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.sampler import tree_seeds
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.plane_wave import Entrance, PlaneWaves, wave_rays
 from mistray.sampling.sharing.start_map import DeviceMap
@@ -135,9 +136,10 @@ def cell_starts(
     # A ray carries the inverse of the density with which it was drawn
     scale = dr.rcp(density)
     w = scale * dr.gather(mi.Float, upload_rows(mi.Float, weight), cell)
-    dr.eval(lane, batch, rng, o, d, w, cell, scale, place)
+    seeds = tree_seeds(stream, batch + BATCHES * cell)
+    dr.eval(lane, batch, seeds, o, d, w, cell, scale, place)
     outside = dr.full(mi.UInt32, medium, dr.width(lane))
-    return StartRays(lane, batch, rng, o, d, w, cell=cell, scale=scale, place=place, medium=outside)
+    return StartRays(lane, batch, seeds, o, d, w, index=index, cell=cell, scale=scale, place=place, medium=outside)
 
 
 def whole_batches(rays: np.ndarray) -> np.ndarray:

@@ -362,7 +362,7 @@ def test_windows_of_scenes_kernel_and_pilot() -> None:
     assert Plan.of_arrays(plan(None).arrays()).sharing.windows is None
     windows = WeightWindows(mi.Float([0.0, 40.0, 1e9, 0.0]), mi.Float([0.5, np.inf, np.inf, 1e-6]), mi.Float(1.0))
     row, weight = mi.UInt32([0, 1, 1, 2, 3]), mi.Float([1.0, 0.1, 1e-3, 1.0, 1.0])
-    rays, chances = windows.read(row, weight, mi.UInt32(1), mi.Bool(True))
+    rays, chances = windows.read(row, weight, (mi.UInt32(1), mi.Float(1)), mi.Bool(True))
     assert np.array(rays).tolist() == [1, 4, 1, MOST_RAYS, 1]
     assert np.array(chances).tolist() == [0.5, 1, 1, 1, LEAST_PROBABILITY]
     assert dr.width(rays) == 5
