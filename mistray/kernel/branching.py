@@ -209,6 +209,7 @@ class Branching:
         self._batch = batch
         self._limits, self._lose, self._max_events = limits, lose, settings.max_events
         self._bulk, self._scatters = scene.table.optics.scatters, scene.scatters(settings)
+        self._draws = scene.draws(settings)
         self._threshold, self._scatter_threshold = (
             dr.opaque(mi.Float, limit) for limit in (settings.flux_threshold, settings.scatter_threshold)
         )
@@ -348,13 +349,13 @@ class Branching:
         scatter_limit = state["reference"] * self._scatter_threshold
         limit = dr.select(unscattered, self._flux_limit(node) if self._roulette else 0, scatter_limit)
         # One random number for all children, whose survival may depend on each other's without bias
-        u, choice = node.sampler.pair(BRANCH)
+        u, choice = node.sampler.pair(BRANCH) if self._draws else (mi.Float(0), mi.Float(0))
         if not self._split:
             return self._one(node, children, unscattered, limit, (u, choice), memory)
-        # Later visits draw the same numbers, and so come to the same result
-        factor = medium_factor = (
-            self._scatter_factor(node, children, scatter_limit, u) if self._scatters else mi.Float(1)
-        )
+        factor = mi.Float(1)
+        if self._scatters:  # later visits draw the same numbers, and so come to the same result
+            factor = self._scatter_factor(node, children, scatter_limit, u)
+        medium_factor = factor
         if self._optics.one_child:
             factor = self._only_child(node, children, factor, choice)
         if self._scatters:

@@ -174,6 +174,12 @@ class KernelScene:
         """True if surfaces or media can scatter light in a trace with these settings."""
         return (self.scattering.any or self.table.optics.scatters) and settings.max_scatters > 0
 
+    def draws(self, settings: Settings) -> bool:
+        """True if a trace with these settings draws random numbers at the nodes of its trees."""
+        roulette = settings.below_threshold == "roulette" or self.probabilities is not None
+        one_child = settings.splitting == "one" or self.table.optics.one_child
+        return roulette or one_child or self.scatters(settings)
+
 
 def next_hit(
     table: SurfaceTable,

@@ -141,11 +141,10 @@ class PendingNodes:
 def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:
     """Return the names of the node variables in `OPTIONAL` that a trace of the scene needs."""
     table, scatters, competing = scene.table, scene.scatters(settings), scene.competing
-    bulk, roulette = table.optics.scatters, settings.below_threshold == "roulette" or scene.probabilities is not None
-    draws = scatters or roulette or settings.splitting == "one" or table.optics.one_child
+    bulk = table.optics.scatters
     names_by_need: tuple[tuple[bool, set[str]], ...] = (
         (settings.limits_consecutive, {"run"}),
-        (draws, {"seed"}),
+        (scene.draws(settings), {"seed"}),
         (settings.stokes, {"stokes"}),
         (table.mitsuba_scene is not None, {"normal"}),
         (bulk, {"length", "in_scattered"}),

@@ -341,7 +341,7 @@ class _Tree:
 
     def _send(self, node: Node, children: Children, choice: Choice, memory: Memory) -> Sent:
         """Return the chosen child ray of each node; its flux is 0 where no child goes on, for example at a limit."""
-        state, it, budget, sampler = node.state, node.interaction, node.budget, node.sampler.child(choice.number)
+        state, it, budget = node.state, node.interaction, node.budget
         w, d, s, p = state["w"], state["d"], state["s"], it.p
         table, scattering = self.scene.table, self.scene.scattering
         scatter, by_medium, flux = choice.scatter, choice.by_medium, choice.flux
@@ -355,6 +355,7 @@ class _Tree:
         if self.scatters and budget is not None:
             competing = None if self.scene.competing is None else self.scene.competing.scattering
             hit, connects = ScatterHit(table, s, it, d), self.scene.vertices is not None
+            sampler = node.sampler.child(choice.number)
             heading, share, scatter_slope, back_side, aim, pdfs = scattering.scatter(
                 hit, budget, choice.draw, heading, sampler, scatter, competing, connects
             )
@@ -367,6 +368,7 @@ class _Tree:
         medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
         away, shared, bulk_aim = mi.Float(0), mi.Float(0), children.bulk_aim
         if bulk_aim is not None and scattering.bulk is not None:
+            sampler = node.sampler.child(choice.number)
             medium_ray = choice.draw_in_medium(sampler)
             away, along, share = scattering.bulk.scatter(
                 medium_in, p, d, state["length"], bulk_aim, medium_ray, sampler, by_medium
@@ -551,6 +553,8 @@ class _Tree:
                 following |= {"length": t, "in_scattered": in_scattered, "away": mi.Float(0), "shared": shared}
         elif bulk:  # nothing is followed: a first visit records what the medium scatters
             following["in_scattered"] = in_scattered
+        if "seed" in self.needed:
+            following["seed"] = after_event("seed", node.sampler.child(choice.number).seed)
         if it.polarized:
             polarized = dr.select(scattered, 0, it.polarized.after(reflect, sent.heading))
             following["stokes"] = after_event("stokes", polarized)
@@ -565,7 +569,6 @@ class _Tree:
             "medium": medium,
             "reflections": dr.select(bounced, state["reflections"] + 1, state["reflections"]),
             "key": key,
-            "seed": after_event("seed", node.sampler.child(choice.number).seed),
             "depth": events,
             "run": run,
             "segments": dr.select(go, state["segments"] + 1, state["segments"]),

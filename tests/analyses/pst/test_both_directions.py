@@ -589,7 +589,8 @@ def test_a_second_pst_compiles_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dr, "kernel_history_clear", noted)
     scene = vane_tube()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        mistray.pst(scene, [10.0, 20.0, 40.0], rays=1000, max_scatters=2)
+        # Both plans have weight windows; of few rays one may have none
+        mistray.pst(scene, [10.0, 20.0, 40.0], rays=1000, max_scatters=2, seed=2)
         noted()
         entries.clear()
         again = mistray.pst(scene, [5.0, 20.0, 30.0, 40.0, 60.0], rays=6000, max_scatters=3, seed=1)
