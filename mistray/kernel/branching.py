@@ -148,8 +148,10 @@ class Choice:
         Whether the surface scatters it, and whether the medium before it does.
     factor : mi.Float
         Factor on the throughput of a ray that the surface scatters.
+    sampler : Sampler
+        Random numbers of the child.
     draw, draw_in_medium : callable
-        ``draw(sampler)`` returns the ray of the surface, ``draw_in_medium(sampler)`` that of the medium.
+        ``draw()`` returns the ray of the surface, ``draw_in_medium()`` that of the medium.
     """
 
     number: mi.UInt32
@@ -159,8 +161,9 @@ class Choice:
     scatter: mi.Bool
     by_medium: mi.Bool
     factor: mi.Float
-    draw: Callable[[Sampler], ScatteredRay]
-    draw_in_medium: Callable[[Sampler], MediumRay]
+    sampler: Sampler
+    draw: Callable[[], ScatteredRay]
+    draw_in_medium: Callable[[], MediumRay]
 
 
 @dataclass(frozen=True)
@@ -498,8 +501,9 @@ class Branching:
         scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
         by_medium = visit & (number >= SCATTER + scattered_rays) & (number < end)
         flux = dr.select(by_medium, w_m * medium_factor, flux)
+        sampler = node.sampler.child(number)
 
-        def draw(sampler: Sampler) -> ScatteredRay:
+        def draw() -> ScatteredRay:
             assert budget is not None
             event, vertex = sampler.pair(EVENT)
             if self._vertices is None:
@@ -507,7 +511,7 @@ class Branching:
             connection = self._connection(node, vertex)
             return budget.ray(dr.select(at_vertex, own_rays, number - SCATTER), random_rays, event, connection)
 
-        def draw_in_medium(_: Sampler) -> MediumRay:
+        def draw_in_medium() -> MediumRay:
             assert bulk_aim is not None
             aimed = number >= SCATTER + scattered_rays + random_medium_rays
             return MediumRay(aimed, mi.Float(random_medium_rays), mi.Float(bulk_aim.rays))
@@ -520,6 +524,7 @@ class Branching:
             scatter=scatter,
             by_medium=by_medium,
             factor=factor,
+            sampler=sampler,
             draw=draw,
             draw_in_medium=draw_in_medium,
         )
@@ -568,12 +573,13 @@ class Branching:
         flux = dr.select((number == SCATTER) & ~scatter & ~by_medium, 0, flux)
         if self._scatters:
             self._lost(node, children.remainder, flux, scatter | by_medium, memory)
+        sampler = node.sampler.child(number)
 
-        def draw(sampler: Sampler) -> ScatteredRay:
+        def draw() -> ScatteredRay:
             assert budget is not None
             return budget.one_ray(w_s / w_all, random_rays, sampler.pair(EVENT))
 
-        def draw_in_medium(sampler: Sampler) -> MediumRay:
+        def draw_in_medium() -> MediumRay:
             bulk = self._scattering.bulk
             assert bulk is not None
             assert bulk_aim is not None
@@ -587,6 +593,7 @@ class Branching:
             scatter=scatter,
             by_medium=by_medium,
             factor=flux / w_all,
+            sampler=sampler,
             draw=draw,
             draw_in_medium=draw_in_medium,
         )

@@ -355,9 +355,8 @@ class _Tree:
         if self.scatters and budget is not None:
             competing = None if self.scene.competing is None else self.scene.competing.scattering
             hit, connects = ScatterHit(table, s, it, d), self.scene.vertices is not None
-            sampler = node.sampler.child(choice.number)
             heading, share, scatter_slope, back_side, aim, pdfs = scattering.scatter(
-                hit, budget, choice.draw, heading, sampler, scatter, competing, connects
+                hit, budget, choice.draw, heading, choice.sampler, scatter, competing, connects
             )
             reflect = dr.select(scatter, back_side, reflect)
             slope = dr.select(scatter, scatter_slope, slope)
@@ -368,10 +367,9 @@ class _Tree:
         medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
         away, shared, bulk_aim = mi.Float(0), mi.Float(0), children.bulk_aim
         if bulk_aim is not None and scattering.bulk is not None:
-            sampler = node.sampler.child(choice.number)
-            medium_ray = choice.draw_in_medium(sampler)
+            medium_ray = choice.draw_in_medium()
             away, along, share = scattering.bulk.scatter(
-                medium_in, p, d, state["length"], bulk_aim, medium_ray, sampler, by_medium
+                medium_in, p, d, state["length"], bulk_aim, medium_ray, choice.sampler, by_medium
             )
             away = dr.select(by_medium, away, 0)
             origin, heading = dr.fma(-away, d, p), dr.select(by_medium, along, heading)
@@ -554,7 +552,7 @@ class _Tree:
         elif bulk:  # nothing is followed: a first visit records what the medium scatters
             following["in_scattered"] = in_scattered
         if "seed" in self.needed:
-            following["seed"] = after_event("seed", node.sampler.child(choice.number).seed)
+            following["seed"] = after_event("seed", choice.sampler.seed)
         if it.polarized:
             polarized = dr.select(scattered, 0, it.polarized.after(reflect, sent.heading))
             following["stokes"] = after_event("stokes", polarized)

@@ -121,9 +121,8 @@ class ScatterBudget:
         """
         Return the event and sampling technique of a node's only scattered ray, sent with `probability`.
 
-        Two random numbers u choose them.
-        Where its event has targets, the ray is aimed with probability ½, or always if `random_rays` is 0. Without
-        targets and without random rays it has no weight.
+        Two random numbers u choose them. Where its event has targets, the ray is aimed with probability ½, or always if
+        `random_rays` is 0. Without targets and without random rays it has no weight.
         """
         reflect = u[0] * self.scattered >= self.transmission.scattered
         event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered

@@ -127,7 +127,7 @@ class Scattering(ScatterShares):
         self,
         hit: ScatterHit,
         budget: ScatterBudget,
-        choose: Callable[[Sampler], ScatteredRay],
+        choose: Callable[[], ScatteredRay],
         otherwise: mi.Vector3f,
         sampler: Sampler,
         active: mi.Bool,
@@ -144,7 +144,7 @@ class Scattering(ScatterShares):
         budget : ScatterBudget
             Fractions that the hits scatter and absorb.
         choose : callable
-            ``choose(sampler)`` returns the ray of the node that is to be drawn.
+            ``choose()`` returns the ray of the node that is to be drawn.
         otherwise : mi.Vector3f
             Direction returned where a lane is inactive or the ray carries nothing.
         sampler : Sampler
@@ -172,7 +172,7 @@ class Scattering(ScatterShares):
 
         # A conditional block returns loose arrays: the ray, and the densities that the trace needs
         def draw(otherwise: mi.Vector3f) -> tuple[Any, ...]:
-            ray = choose(sampler)
+            ray = choose()
             *drawn, pdf_ratio, pdf_rev = self._draw(hit, budget, ray, otherwise, sampler, competing)
             known = [] if competing is None else [pdf_ratio, pdf_rev]
             if connects:
